@@ -1,0 +1,100 @@
+//! Independent rounds of unequal size, averaged; their scatter is the variance of the average.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Weighted sums of rounds, per slot.
+pub(crate) struct Accumulator {
+    direct: Vec<Vec3>,
+    indirect: Vec<Vec3>,
+    /// Σ n |direct + indirect|², mean over RGB.
+    squares: Vec<f64>,
+    samples: u32,
+    rounds: u32,
+}
+
+impl Accumulator {
+    pub(crate) fn new(len: usize) -> Accumulator {
+        Accumulator {
+            direct: vec![Vec3::ZERO; len],
+            indirect: vec![Vec3::ZERO; len],
+            squares: vec![0.0; len],
+            samples: 0,
+            rounds: 0,
+        }
+    }
+
+    /// Samples per element so far.
+    pub(crate) fn samples(&self) -> u32 {
+        self.samples
+    }
+
+    /// Adds a round of `samples` samples per element.
+    pub(crate) fn add(&mut self, samples: u32, direct: &[Vec3], indirect: &[Vec3]) {
+        let weight = samples as f32;
+        self.samples += samples;
+        self.rounds += 1;
+        let sums = self.direct.par_iter_mut().zip(&mut self.indirect).zip(&mut self.squares);
+        sums.zip(direct.par_iter().zip(indirect)).with_min_len(4096).for_each(|(((d, i), q), (direct, indirect))| {
+            *d += *direct * weight;
+            *i += *indirect * weight;
+            *q += f64::from(samples) * (*direct + *indirect).as_dvec3().length_squared() / 3.0;
+        });
+    }
+
+    /// Mean of the direct part of all rounds.
+    pub(crate) fn direct(&self) -> Vec<Vec3> {
+        self.direct.iter().map(|d| *d / self.samples as f32).collect()
+    }
+
+    /// Mean of the indirect part of all rounds.
+    pub(crate) fn indirect(&self) -> Vec<Vec3> {
+        self.indirect.iter().map(|i| *i / self.samples as f32).collect()
+    }
+
+    /// Whether there are rounds enough to tell a variance.
+    pub(crate) fn knows_variance(&self) -> bool {
+        self.rounds >= 2
+    }
+
+    /// Variance of the mean of direct + indirect, mean over RGB: with rounds x_r of n_r samples and variance σ²/n_r,
+    /// Σ n_r (x_r − x̄)² / (R − 1) estimates σ², and the mean has σ² / Σ n_r.
+    pub(crate) fn variance(&self) -> Vec<f32> {
+        if !self.knows_variance() {
+            return vec![0.0; self.squares.len()];
+        }
+        let n = f64::from(self.samples);
+        let sums = self.direct.iter().zip(&self.indirect).zip(&self.squares);
+        sums.map(|((d, i), q)| {
+            let mean2 = (*d + *i).as_dvec3().length_squared() / (3.0 * n);
+            ((q - mean2).max(0.0) / (f64::from(self.rounds - 1) * n)) as f32
+        })
+        .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Pcg32;
+
+    #[test]
+    fn rounds_of_unequal_size_tell_the_variance_of_their_mean() {
+        let len = 4000;
+        let (mut acc, mut rng) = (Accumulator::new(len), Pcg32::new(1, 1));
+        let mut mean = vec![0.0f64; len];
+        let sizes = [2u32, 2, 4, 8, 16];
+        for n in sizes {
+            let values: Vec<Vec3> = (0..len)
+                .map(|_| Vec3::splat((0..n).map(|_| rng.next_f32()).sum::<f32>() / n as f32))
+                .collect();
+            mean.iter_mut().zip(&values).for_each(|(m, v)| *m += f64::from(v.x) * f64::from(n));
+            acc.add(n, &values, &vec![Vec3::ZERO; len]);
+        }
+        let total = f64::from(acc.samples());
+        let truth = mean.iter().map(|m| (m / total - 0.5).powi(2)).sum::<f64>() / len as f64;
+        let stated = acc.variance().iter().map(|v| f64::from(*v)).sum::<f64>() / len as f64;
+        // Both are means over 4,000 elements: relative standard deviations √(2/4000) and √(2/4/4000), seven of them.
+        assert!((stated / truth - 1.0).abs() < 0.18, "{stated} {truth}");
+    }
+}

@@ -1,0 +1,147 @@
+//! Puts a binary glTF together: data into the binary chunk, JSON from small pieces.
+
+use std::collections::BTreeMap;
+
+use ::gltf::json::{Value, serialize};
+use glam::Vec3;
+
+use crate::export::ExportError;
+
+/// glTF's name of `f32`.
+const FLOAT: u32 = 5126;
+/// glTF's name of `u32`.
+const UNSIGNED_INT: u32 = 5125;
+const ARRAY_BUFFER: u32 = 34962;
+const ELEMENT_ARRAY_BUFFER: u32 = 34963;
+
+/// A JSON object.
+pub(super) fn object<'k>(entries: impl IntoIterator<Item = (&'k str, Value)>) -> Value {
+    entries.into_iter().map(|(key, value)| (key.to_owned(), value)).collect()
+}
+
+/// A JSON array of numbers.
+pub(super) fn numbers(values: impl IntoIterator<Item = f32>) -> Value {
+    values.into_iter().map(Value::from).collect()
+}
+
+/// The lists of a document, and the binary chunk. What is added answers its index.
+#[derive(Debug, Default)]
+pub(super) struct Document {
+    bin: Vec<u8>,
+    accessors: Vec<Value>,
+    views: Vec<Value>,
+    pub(super) nodes: Vec<Value>,
+    pub(super) meshes: Vec<Value>,
+    pub(super) materials: Vec<Value>,
+    pub(super) cameras: Vec<Value>,
+    pub(super) lights: Vec<Value>,
+    pub(super) has_emissive_strength: bool,
+    /// Numbers of a material (as bits) and whether it is double-sided, to its index.
+    pub(super) material_indices: BTreeMap<([u32; 7], bool), Value>,
+}
+
+impl Document {
+    /// A vertex attribute of `f32` triples. Bounds are required for positions.
+    pub(super) fn add_vec3(&mut self, values: &[Vec3], with_bounds: bool) -> Value {
+        let view = self.add_view(ARRAY_BUFFER, values.iter().flat_map(|value| value.to_array()).map(f32::to_le_bytes));
+        let mut accessor = vec![
+            ("bufferView", view),
+            ("componentType", FLOAT.into()),
+            ("count", values.len().into()),
+            ("type", "VEC3".into()),
+        ];
+        if with_bounds {
+            let bound = |pick: fn(Vec3, Vec3) -> Vec3| values.iter().copied().reduce(pick).unwrap_or_default();
+            accessor.push(("min", numbers(bound(Vec3::min).to_array())));
+            accessor.push(("max", numbers(bound(Vec3::max).to_array())));
+        }
+        push(&mut self.accessors, object(accessor))
+    }
+
+    /// Triangle indices.
+    pub(super) fn add_indices(&mut self, triangles: &[[u32; 3]]) -> Value {
+        let view = self.add_view(ELEMENT_ARRAY_BUFFER, triangles.iter().flatten().map(|index| index.to_le_bytes()));
+        let accessor = [
+            ("bufferView", view),
+            ("componentType", UNSIGNED_INT.into()),
+            ("count", (triangles.len() * 3).into()),
+            ("type", "SCALAR".into()),
+        ];
+        push(&mut self.accessors, object(accessor))
+    }
+
+    /// All values are four bytes wide, so that every view begins aligned.
+    fn add_view(&mut self, target: u32, words: impl Iterator<Item = [u8; 4]>) -> Value {
+        let start = self.bin.len();
+        self.bin.extend(words.flatten());
+        let view = [
+            ("buffer", 0.into()),
+            ("byteOffset", start.into()),
+            ("byteLength", (self.bin.len() - start).into()),
+            ("target", target.into()),
+        ];
+        push(&mut self.views, object(view))
+    }
+
+    /// The bytes of the file.
+    pub(super) fn finish(mut self) -> Result<Vec<u8>, ExportError> {
+        let bin = std::mem::take(&mut self.bin);
+        let mut document = serialize::to_vec(&self.into_json(bin.len())).map_err(|_| ExportError::Json)?;
+        document.resize(document.len().next_multiple_of(4), b' ');
+        let bin_chunk = if bin.is_empty() { 0 } else { 8 + bin.len() };
+        let length = u32::try_from(12 + 8 + document.len() + bin_chunk).map_err(|_| ExportError::TooLarge)?;
+        let mut file = Vec::with_capacity(length as usize);
+        file.extend(b"glTF");
+        file.extend(2_u32.to_le_bytes());
+        file.extend(length.to_le_bytes());
+        // Both lengths are below that of the file, which fits.
+        file.extend((document.len() as u32).to_le_bytes());
+        file.extend(b"JSON");
+        file.extend(document);
+        if !bin.is_empty() {
+            file.extend((bin.len() as u32).to_le_bytes());
+            file.extend(b"BIN\0");
+            file.extend(bin);
+        }
+        Ok(file)
+    }
+
+    fn into_json(self, bin_bytes: usize) -> Value {
+        let asset = object([("version", "2.0".into()), ("generator", "rebake".into())]);
+        let roots: Vec<usize> = (0..self.nodes.len()).collect();
+        let scene = if roots.is_empty() { object([]) } else { object([("nodes", roots.into())]) };
+        let mut entries = vec![("asset", asset), ("scene", 0.into()), ("scenes", vec![scene].into())];
+        let mut extensions = Vec::new();
+        if self.has_emissive_strength {
+            extensions.push("KHR_materials_emissive_strength");
+        }
+        if !self.lights.is_empty() {
+            extensions.push("KHR_lights_punctual");
+            let lights = object([("lights", self.lights.into())]);
+            entries.push(("extensions", object([("KHR_lights_punctual", lights)])));
+        }
+        if bin_bytes > 0 {
+            entries.push(("buffers", vec![object([("byteLength", bin_bytes.into())])].into()));
+        }
+        // The specification forbids empty lists.
+        let lists = [
+            ("nodes", self.nodes),
+            ("meshes", self.meshes),
+            ("materials", self.materials),
+            ("cameras", self.cameras),
+            ("accessors", self.accessors),
+            ("bufferViews", self.views),
+        ];
+        entries.extend(lists.into_iter().filter(|(_, list)| !list.is_empty()).map(|(key, list)| (key, list.into())));
+        if !extensions.is_empty() {
+            entries.push(("extensionsUsed", extensions.into()));
+        }
+        object(entries)
+    }
+}
+
+/// Appends; answers the index as JSON.
+pub(super) fn push(list: &mut Vec<Value>, value: Value) -> Value {
+    list.push(value);
+    (list.len() - 1).into()
+}

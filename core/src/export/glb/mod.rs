@@ -1,0 +1,126 @@
+//! Binary glTF: the subdivided meshes with their light map, and whole scenes.
+
+mod container;
+mod scene;
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+
+use ::gltf::json::Value;
+use glam::{DVec3, Vec3};
+
+pub use self::scene::write_scene_glb;
+
+use self::container::{Document, numbers, object, push};
+use super::ExportError;
+use crate::scene::Material;
+
+/// One object with its light map. Lists of the same kind have the same length.
+#[derive(Clone, Copy, Debug)]
+pub struct MeshExport<'a> {
+    /// Name of the object: that of the node and of the mesh.
+    pub name: &'a str,
+    /// Vertices (elements) in scene space, metres.
+    pub positions: &'a [Vec3],
+    /// Unit normals per vertex.
+    pub normals: &'a [Vec3],
+    /// Light map values per vertex, linear RGB; written as they are, whatever their range.
+    pub colors: &'a [Vec3],
+    /// Vertex indices.
+    pub triangles: &'a [[u32; 3]],
+    /// Per triangle: index into `materials`.
+    pub triangle_materials: &'a [u32],
+    /// Albedo and sides; `emission` is the radiance in force.
+    pub materials: &'a [Material],
+}
+
+/// Writes meshes with their light map as float `COLOR_0`: shown without further light, `baseColorFactor × COLOR_0`
+/// is the outgoing radiance. One node and mesh per object; objects without triangles are left out.
+///
+/// `origin` (world space, metres) is the zero of the positions' space. It becomes the translation of the nodes, so
+/// that the vertices of a scene far from the world's zero keep their precision.
+///
+/// # Errors
+/// [`ExportError`]: lists that do not fit together, numbers that are not finite, more than 4 GiB.
+pub fn write_glb(meshes: &[MeshExport<'_>], origin: DVec3) -> Result<Vec<u8>, ExportError> {
+    let mut document = Document::default();
+    for mesh in meshes.iter().filter(|mesh| !mesh.triangles.is_empty()) {
+        check(mesh)?;
+        let attributes = object([
+            ("POSITION", document.add_vec3(mesh.positions, true)),
+            ("NORMAL", document.add_vec3(mesh.normals, false)),
+            ("COLOR_0", document.add_vec3(mesh.colors, false)),
+        ]);
+        let mut by_material: BTreeMap<u32, Vec<[u32; 3]>> = BTreeMap::new();
+        for (triangle, &material) in mesh.triangles.iter().zip(mesh.triangle_materials) {
+            by_material.entry(material).or_default().push(*triangle);
+        }
+        let mut primitives = Vec::with_capacity(by_material.len());
+        for (material, triangles) in by_material {
+            let material = &mesh.materials[material as usize];
+            primitives.push(object([
+                ("attributes", attributes.clone()),
+                ("indices", document.add_indices(&triangles)),
+                ("material", add_material(&mut document, material, emission_parts(material.emission))),
+            ]));
+        }
+        let json = object([("name", mesh.name.into()), ("primitives", primitives.into())]);
+        let mut node = vec![("name", mesh.name.into()), ("mesh", push(&mut document.meshes, json))];
+        if origin != DVec3::ZERO {
+            node.push(("translation", numbers(origin.as_vec3().to_array())));
+        }
+        document.nodes.push(object(node));
+    }
+    document.finish()
+}
+
+fn check(mesh: &MeshExport<'_>) -> Result<(), ExportError> {
+    let count = mesh.positions.len();
+    let fits = mesh.normals.len() == count
+        && mesh.colors.len() == count
+        && mesh.triangle_materials.len() == mesh.triangles.len()
+        && mesh.triangles.iter().flatten().all(|&corner| (corner as usize) < count)
+        && mesh.triangle_materials.iter().all(|&material| (material as usize) < mesh.materials.len());
+    if !fits {
+        return Err(ExportError::Lists(mesh.name.to_owned()));
+    }
+    let is_finite = |values: &[Vec3]| values.iter().all(|value| value.is_finite());
+    if !(is_finite(mesh.positions) && is_finite(mesh.normals) && is_finite(mesh.colors)) {
+        return Err(ExportError::NotFinite(mesh.name.to_owned()));
+    }
+    Ok(())
+}
+
+/// Emission as factor (each part at most 1, as the specification has it) and strength.
+fn emission_parts(emission: Vec3) -> (Vec3, f32) {
+    let strength = emission.max_element();
+    if strength <= 1.0 { (emission, 1.0) } else { (emission / strength, strength) }
+}
+
+/// Adds a diffuse material that emits `color × strength`.
+fn add_material(document: &mut Document, material: &Material, (color, strength): (Vec3, f32)) -> Value {
+    let [r, g, b] = material.albedo.to_array();
+    let pbr = object([
+        ("baseColorFactor", numbers([r, g, b, 1.0])),
+        ("metallicFactor", 0.into()),
+        ("roughnessFactor", 1.into()),
+    ]);
+    let mut json = vec![("pbrMetallicRoughness", pbr)];
+    if material.double_sided {
+        json.push(("doubleSided", true.into()));
+    }
+    if color != Vec3::ZERO {
+        json.push(("emissiveFactor", numbers(color.to_array())));
+        if strength != 1.0 {
+            let extension = object([("emissiveStrength", strength.into())]);
+            json.push(("extensions", object([("KHR_materials_emissive_strength", extension)])));
+            document.has_emissive_strength = true;
+        }
+    }
+    // Objects share few materials; a file with thousands of equal ones is slow to open elsewhere.
+    let [er, eg, eb] = color.to_array();
+    let key = ([r, g, b, er, eg, eb, strength].map(f32::to_bits), material.double_sided);
+    let materials = &mut document.materials;
+    document.material_indices.entry(key).or_insert_with(|| push(materials, object(json))).clone()
+}

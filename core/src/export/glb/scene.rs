@@ -1,0 +1,137 @@
+//! A scene back into a file that [`crate::scene::load_glb`] reads.
+
+use std::collections::BTreeMap;
+
+use ::gltf::json::Value;
+use glam::{DMat4, DQuat, DVec3, Vec3};
+
+use super::container::{Document, numbers, object, push};
+use super::{add_material, emission_parts};
+use crate::export::ExportError;
+use crate::scene::{Light, LightKind, Object, Scene};
+
+/// Distance of the near plane that a glTF camera must state, metres. rebake's cameras have none.
+const CAMERA_NEAR: f32 = 0.01;
+
+/// Writes objects with their transforms and materials, lights and cameras.
+///
+/// The emission of a material is the strength of its light, so that a relit scene is read back as it is lit. Light
+/// from outside has no place in glTF and is left out. Transforms become `f32`.
+///
+/// # Errors
+/// [`ExportError`]: an object whose lists do not fit together, a transform that is not finite, more than 4 GiB.
+pub fn write_scene_glb(scene: &Scene) -> Result<Vec<u8>, ExportError> {
+    let mut document = Document::default();
+    let mut emission: BTreeMap<(&str, u32), &Light> = BTreeMap::new();
+    for light in &scene.lights {
+        if let LightKind::Emissive { object, material } = &light.kind {
+            emission.insert((object, *material), light);
+        }
+    }
+    for item in &scene.objects {
+        let mesh = add_mesh(&mut document, item, &emission)?;
+        let matrix = transform(item.world_from_object, &item.name)?;
+        document.nodes.push(object([("name", item.name.as_str().into()), ("mesh", mesh)].into_iter().chain(matrix)));
+    }
+    for light in &scene.lights {
+        add_punctual(&mut document, light)?;
+    }
+    for camera in &scene.cameras {
+        let perspective = object([("yfov", camera.fov_y.into()), ("znear", CAMERA_NEAR.into())]);
+        let json = object([("type", "perspective".into()), ("perspective", perspective)]);
+        let index = push(&mut document.cameras, json);
+        let matrix = transform(camera.world_from_camera, &camera.name)?;
+        let node = [("name", camera.name.as_str().into()), ("camera", index)].into_iter().chain(matrix);
+        document.nodes.push(object(node));
+    }
+    document.finish()
+}
+
+/// A primitive per material, and apart from it one for its flat triangles (those without normals).
+fn add_mesh(
+    document: &mut Document,
+    item: &Object,
+    emission: &BTreeMap<(&str, u32), &Light>,
+) -> Result<Value, ExportError> {
+    let mesh = &*item.mesh;
+    let vertices = mesh.positions.len();
+    let lists = || ExportError::Lists(item.name.clone());
+    if !(mesh.normals.is_empty() || mesh.normals.len() == vertices)
+        || mesh.triangle_materials.len() != mesh.triangles.len()
+        || mesh.triangles.is_empty()
+        || mesh.triangles.iter().flatten().any(|&corner| corner as usize >= vertices)
+    {
+        return Err(lists());
+    }
+    let has_normal = |corner: &u32| mesh.normals.get(*corner as usize).is_some_and(|normal| *normal != Vec3::ZERO);
+    let mut groups: BTreeMap<(u32, bool), Vec<[u32; 3]>> = BTreeMap::new();
+    for (triangle, &material) in mesh.triangles.iter().zip(&mesh.triangle_materials) {
+        groups.entry((material, triangle.iter().all(has_normal))).or_default().push(*triangle);
+    }
+    let positions = document.add_vec3(&mesh.positions, true);
+    let mut normals = None;
+    let mut primitives = Vec::with_capacity(groups.len());
+    for ((material, is_smooth), triangles) in groups {
+        let mut attributes = vec![("POSITION", positions.clone())];
+        if is_smooth {
+            // Zero vectors are not valid in a file. No smooth triangle uses those replaced.
+            let valid = |normal: &Vec3| if *normal == Vec3::ZERO { Vec3::Z } else { *normal };
+            let add = || document.add_vec3(&mesh.normals.iter().map(valid).collect::<Vec<_>>(), false);
+            attributes.push(("NORMAL", normals.get_or_insert_with(add).clone()));
+        }
+        let light = emission.get(&(item.name.as_str(), material));
+        let parts = light.map_or((Vec3::ZERO, 1.0), |light| light_parts(light));
+        let material = item.materials.get(material as usize).ok_or_else(lists)?;
+        primitives.push(object([
+            ("attributes", object(attributes)),
+            ("indices", document.add_indices(&triangles)),
+            ("material", add_material(document, material, parts)),
+        ]));
+    }
+    let json = object([("name", item.name.as_str().into()), ("primitives", primitives.into())]);
+    Ok(push(&mut document.meshes, json))
+}
+
+/// Colour and intensity, kept apart as they are where the colour is a valid factor.
+fn light_parts(light: &Light) -> (Vec3, f32) {
+    if light.color.max_element() <= 1.0 { (light.color, light.intensity) } else { emission_parts(light.strength()) }
+}
+
+fn add_punctual(document: &mut Document, light: &Light) -> Result<(), ExportError> {
+    let (kind, position, direction, range) = match &light.kind {
+        LightKind::Emissive { .. } | LightKind::Environment => return Ok(()),
+        LightKind::Point { position, range } => ("point", *position, Vec3::NEG_Z, *range),
+        LightKind::Spot { position, direction, range, .. } => ("spot", *position, *direction, *range),
+        LightKind::Directional { direction } => ("directional", DVec3::ZERO, *direction, None),
+    };
+    // As for emissive factors, the parts of a colour are at most 1.
+    let (color, intensity) = light_parts(light);
+    let mut json = vec![
+        ("name", light.name.as_str().into()),
+        ("type", kind.into()),
+        ("color", numbers(color.to_array())),
+        ("intensity", intensity.into()),
+    ];
+    if let Some(range) = range {
+        json.push(("range", range.into()));
+    }
+    if let LightKind::Spot { inner_cone_angle, outer_cone_angle, .. } = light.kind {
+        let cone = [("innerConeAngle", inner_cone_angle.into()), ("outerConeAngle", outer_cone_angle.into())];
+        json.push(("spot", object(cone)));
+    }
+    let index = push(&mut document.lights, object(json));
+    let rotation = DQuat::from_rotation_arc(DVec3::NEG_Z, direction.as_dvec3().normalize_or(DVec3::NEG_Z));
+    let matrix = transform(DMat4::from_rotation_translation(rotation, position), &light.name)?;
+    let extension = object([("KHR_lights_punctual", object([("light", index)]))]);
+    let node = [("name", light.name.as_str().into()), ("extensions", extension)].into_iter().chain(matrix);
+    document.nodes.push(object(node));
+    Ok(())
+}
+
+/// The `matrix` of a node; none where it is the identity.
+fn transform(matrix: DMat4, name: &str) -> Result<Option<(&'static str, Value)>, ExportError> {
+    if !matrix.as_mat4().is_finite() {
+        return Err(ExportError::NotFinite(name.to_owned()));
+    }
+    Ok((matrix != DMat4::IDENTITY).then(|| ("matrix", numbers(matrix.as_mat4().to_cols_array()))))
+}

@@ -1,0 +1,82 @@
+//! A world's light map as a file.
+
+use glam::Vec3;
+
+use super::{EXR_WIDTH, ExportError, MeshExport, write_exr, write_glb};
+use crate::scene::{LightKind, Material};
+use crate::world::World;
+
+/// The subdivided mesh with `values` (per slot) as float `COLOR_0`. Backs that have elements are triangles of their
+/// own, wound the other way.
+///
+/// # Errors
+/// [`ExportError`]: values that do not fit the world or are not finite, more than the format can hold.
+pub fn lightmap_glb(world: &World, values: &[Vec3]) -> Result<Vec<u8>, ExportError> {
+    if values.len() != world.slots() {
+        return Err(ExportError::Lists("the light map".to_owned()));
+    }
+    let pieces: Vec<Piece> = (0..world.placed.len()).map(|index| Piece::new(world, index)).collect();
+    let meshes: Vec<MeshExport> = pieces.iter().map(|p| p.export(world, values)).collect();
+    write_glb(&meshes, world.scene.origin)
+}
+
+/// `values` (per slot) as an OpenEXR picture of one pixel per slot.
+///
+/// # Errors
+/// [`ExportError`]: no values, more than the format can hold.
+pub fn lightmap_exr(values: &[Vec3]) -> Result<Vec<u8>, ExportError> {
+    write_exr(&[("", values)], EXR_WIDTH, &[])
+}
+
+/// One object's lists that are not stored as they are exported.
+struct Piece {
+    index: usize,
+    positions: Vec<Vec3>,
+    triangles: Vec<[u32; 3]>,
+    triangle_materials: Vec<u32>,
+    materials: Vec<Material>,
+}
+
+impl Piece {
+    fn new(world: &World, index: usize) -> Piece {
+        let (placed, object) = (&world.placed[index], &world.scene.objects[index]);
+        let surface = &placed.surface;
+        let mut piece = Piece {
+            index,
+            positions: surface.vertices.clone(),
+            triangles: surface.triangles.clone(),
+            triangle_materials: surface.triangle_materials.clone(),
+            materials: object.materials.clone(),
+        };
+        if placed.with_back {
+            let n = surface.vertices.len() as u32;
+            piece.positions.extend(&surface.vertices);
+            piece.triangles.extend(surface.triangles.iter().map(|&[a, b, c]| [a + n, c + n, b + n]));
+            piece.triangle_materials.extend(&surface.triangle_materials);
+        }
+        // The radiance in force is that of the light, not of the upload.
+        for (number, material) in piece.materials.iter_mut().enumerate() {
+            let of_this = |kind: &LightKind| {
+                matches!(kind, LightKind::Emissive { object: o, material: m }
+                    if *o == object.name && *m as usize == number)
+            };
+            let light = world.scene.lights.iter().find(|l| of_this(&l.kind));
+            material.emission = light.map_or(Vec3::ZERO, |l| l.strength());
+        }
+        piece
+    }
+
+    fn export<'a>(&'a self, world: &'a World, values: &'a [Vec3]) -> MeshExport<'a> {
+        let elements = &world.placed[self.index].placement.elements;
+        let range = elements.start as usize..elements.end as usize;
+        MeshExport {
+            name: &world.scene.objects[self.index].name,
+            positions: &self.positions,
+            normals: &world.geometry.normals[range.clone()],
+            colors: &values[range],
+            triangles: &self.triangles,
+            triangle_materials: &self.triangle_materials,
+            materials: &self.materials,
+        }
+    }
+}

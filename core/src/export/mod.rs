@@ -1,0 +1,32 @@
+//! Files that leave the engine: binary glTF and OpenEXR.
+
+mod exr;
+mod glb;
+mod lightmap;
+
+pub use self::exr::{EXR_WIDTH, write_exr};
+pub use self::glb::{MeshExport, write_glb, write_scene_glb};
+pub use self::lightmap::{lightmap_exr, lightmap_glb};
+
+/// Why a file could not be written.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ExportError {
+    /// The lists of an object or layer do not fit together.
+    #[error("\"{0}\": its lists differ in length, are empty, or refer to entries that do not exist")]
+    Lists(String),
+    /// A number of an object is not finite.
+    #[error("\"{0}\": it has a number that is not finite")]
+    NotFinite(String),
+    /// Two layers of one name, a name that cannot be written, or none.
+    #[error("layer or attribute \"{0}\": its name is taken or not possible")]
+    Name(String),
+    /// The format cannot hold this much.
+    #[error("the data exceeds what the file format can hold")]
+    TooLarge,
+    /// The document could not be written as JSON.
+    #[error("the glTF document could not be written")]
+    Json,
+    /// The EXR library refused.
+    #[error("the EXR file could not be written: {0}")]
+    Exr(String),
+}

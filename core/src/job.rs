@@ -1,0 +1,90 @@
+//! What a caller and a running bake or update say to each other: budgets down, progress and snapshots up, cancel down.
+
+use std::sync::Arc;
+
+use crate::lightmap::LightMap;
+
+/// When to stop. The first bound that is reached ends the work; time is the caller's (see [`Observer::plan_round`]).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Budget {
+    /// Samples per element of the last full pass.
+    pub samples_per_element: u32,
+    /// Stop when the estimated area-weighted RMSE (radiance / albedo) is at most this.
+    pub target_rmse: Option<f32>,
+}
+
+/// What is being done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pass {
+    /// Light straight from lights.
+    Direct,
+    /// The object's own elements (update) before the scene's.
+    Object,
+    /// The source of an edit on the scene's elements.
+    Source,
+    /// Further bounces on a subset of the elements.
+    Propagation,
+    /// Gather at full resolution.
+    FinalGather,
+}
+
+impl Pass {
+    /// A stable word for clients.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Pass::Direct => "direct",
+            Pass::Object => "object",
+            Pass::Source => "source",
+            Pass::Propagation => "propagation",
+            Pass::FinalGather => "final_gather",
+        }
+    }
+}
+
+/// How far the work is.
+#[derive(Clone, Copy, Debug)]
+pub struct Progress {
+    /// Which pass runs.
+    pub pass: Pass,
+    /// Samples per element of the rounds that are finished.
+    pub samples_per_element: u32,
+    /// Samples per element of the round that runs.
+    pub round_samples: u32,
+    /// Part of the running round that is done, 0..=1.
+    pub round_fraction: f32,
+    /// Rays traced so far.
+    pub rays: u64,
+    /// Estimated area-weighted RMSE of the last snapshot, where there is one.
+    pub estimated_rmse: Option<f32>,
+}
+
+/// The caller's side of a running job. Called from the thread that runs the job, [`Observer::canceled`] from all.
+pub trait Observer: Sync {
+    /// Asked at every tile: true ends the work with [`Canceled`].
+    fn canceled(&self) -> bool {
+        false
+    }
+
+    /// Where the work stands; called at least at every pass, and cheap to ignore.
+    fn progress(&self, _progress: &Progress) {}
+
+    /// Asked before each round: how many samples per element it may take (at most `proposed`); 0 ends the work.
+    /// The first round is asked for too, and answering 0 there leaves the map as it was.
+    fn plan_round(&self, _so_far: &Progress, proposed: u32) -> u32 {
+        proposed
+    }
+
+    /// A consistent light map, better than the one before. Cheap: the map is shared.
+    fn snapshot(&self, _map: &Arc<LightMap>, _progress: &Progress) {}
+}
+
+/// The work was ended by [`Observer::canceled`]; the last snapshot is still good.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("canceled")]
+pub struct Canceled;
+
+/// An observer that lets everything run to its end.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Unobserved;
+
+impl Observer for Unobserved {}

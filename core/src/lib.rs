@@ -1,0 +1,30 @@
+//! The engine of rebake: scenes, trees, light transport, bakes and updates of light maps.
+//!
+//! A plain synchronous library: it knows no HTTP, no async, no serde, no clock and no global state. The same inputs
+//! and seed give the same bits on any number of threads.
+
+mod accumulate;
+mod bake;
+pub mod bvh;
+pub mod delta;
+pub mod edit;
+pub mod export;
+pub mod job;
+pub mod lightmap;
+pub mod path;
+pub mod random;
+mod rounds;
+pub mod sampling;
+pub mod scene;
+mod solve;
+pub mod surface;
+mod transport;
+mod update;
+mod world;
+
+pub use bake::bake;
+pub use edit::{Edit, EditError, EditErrorKind, Relight};
+pub use job::{Budget, Canceled, Observer, Pass, Progress, Unobserved};
+pub use lightmap::LightMap;
+pub use update::update;
+pub use world::{LightInfo, NO_OBJECT, ObjectInfo, Transition, Trees, World, WorldError, WorldOptions};

@@ -1,0 +1,171 @@
+//! The chi² test of every sampler against its density (after Mitsuba's `chi2.py`).
+
+use std::f32::consts::{PI, TAU};
+
+use glam::Vec3;
+
+use super::{Cone, Discrete, Mixture, SphericalTriangle, Spheres, cosine_hemisphere, cosine_hemisphere_pdf, uniform_barycentrics};
+use crate::random::Pcg32;
+
+/// Upper tail of the chi² distribution by the Wilson–Hilferty normal approximation: z-score.
+fn chi2_z(statistic: f64, dof: f64) -> f64 {
+    let k = 2.0 / (9.0 * dof);
+    ((statistic / dof).cbrt() - (1.0 - k)) / k.sqrt()
+}
+
+/// Asserts that counts agree with expectations; cells of fewer than 5 expected are pooled.
+fn assert_chi2(name: &str, counts: &[f64], expected: &[f64]) {
+    let (mut statistic, mut dof, mut pool_c, mut pool_e) = (0.0, -1.0, 0.0, 0.0);
+    for (c, e) in counts.iter().zip(expected) {
+        if *e < 5.0 {
+            pool_c += c;
+            pool_e += e;
+        } else {
+            statistic += (c - e) * (c - e) / e;
+            dof += 1.0;
+        }
+    }
+    if pool_e >= 1.0 {
+        statistic += (pool_c - pool_e) * (pool_c - pool_e) / pool_e;
+        dof += 1.0;
+    } else {
+        assert!(pool_c <= 12.0, "{name}: {pool_c} samples where {pool_e} are expected");
+    }
+    let z = chi2_z(statistic, dof);
+    assert!(z < 4.5, "{name}: chi² {statistic:.1} at {dof} degrees of freedom, z = {z:.1}");
+}
+
+const ROWS: usize = 48;
+const COLUMNS: usize = 96;
+const SAMPLES: usize = 400_000;
+
+/// Compares a sampler of directions with its density over a grid in (cos θ, φ), the density integrated by 12² points.
+fn check_directions(name: &str, sample: impl Fn([f32; 2]) -> Vec3, pdf: impl Fn(Vec3) -> f32) {
+    let mut rng = Pcg32::new(11, name.len() as u64);
+    let mut counts = vec![0.0; ROWS * COLUMNS];
+    for _ in 0..SAMPLES {
+        let d = sample(rng.next_2d());
+        assert!((d.length() - 1.0).abs() < 1e-4, "{name}: {d}");
+        let row = (((d.z + 1.0) * 0.5 * ROWS as f32) as usize).min(ROWS - 1);
+        let column = (((d.y.atan2(d.x) / TAU + 1.0).fract() * COLUMNS as f32) as usize).min(COLUMNS - 1);
+        counts[row * COLUMNS + column] += 1.0;
+    }
+    let steps = 12;
+    let cell = 2.0 * TAU / (ROWS * COLUMNS * steps * steps) as f32;
+    let mut expected = vec![0.0f64; ROWS * COLUMNS];
+    for (i, e) in expected.iter_mut().enumerate() {
+        for k in 0..steps * steps {
+            let z = ((i / COLUMNS) as f32 + ((k / steps) as f32 + 0.5) / steps as f32) / ROWS as f32 * 2.0 - 1.0;
+            let phi = ((i % COLUMNS) as f32 + ((k % steps) as f32 + 0.5) / steps as f32) / COLUMNS as f32 * TAU;
+            let r = (1.0 - z * z).max(0.0).sqrt();
+            *e += f64::from(pdf(Vec3::new(r * phi.cos(), r * phi.sin(), z)) * cell) * SAMPLES as f64;
+        }
+    }
+    let total: f64 = expected.iter().sum();
+    assert!((total / SAMPLES as f64 - 1.0).abs() < 5e-3, "{name}: the density integrates to {}", total / SAMPLES as f64);
+    // Cells cut by the support's border carry the error of the integration: they are pooled with their neighbours'
+    // by leaving out those whose density is not smooth.
+    let smooth: Vec<bool> = (0..ROWS * COLUMNS)
+        .map(|i| {
+            let (row, column) = (i / COLUMNS, i % COLUMNS);
+            let mean = expected[i];
+            [(0, 1), (0, COLUMNS - 1), (1, 0), (ROWS - 1, 0)].iter().all(|(dr, dc)| {
+                let j = (row + dr) % ROWS * COLUMNS + (column + dc) % COLUMNS;
+                (expected[j] - mean).abs() <= 0.5 * mean
+            })
+        })
+        .collect();
+    let pick = |v: &[f64]| {
+        let mut inside: Vec<f64> = v.iter().zip(&smooth).filter(|(_, s)| **s).map(|(x, _)| *x).collect();
+        inside.push(v.iter().zip(&smooth).filter(|(_, s)| !**s).map(|(x, _)| *x).sum());
+        inside
+    };
+    let (counts, mut expected) = (pick(&counts), pick(&expected));
+    let scale = SAMPLES as f64 / total;
+    expected.iter_mut().for_each(|e| *e *= scale);
+    // The border cells together: only a coarse check, their integral is known to a few percent.
+    let (c, e) = (counts[counts.len() - 1], expected[expected.len() - 1]);
+    assert!((c - e).abs() <= 0.05 * e + 6.0 * e.sqrt() + 12.0, "{name}: border cells hold {c}, expected {e}");
+    assert_chi2(name, &counts[..counts.len() - 1], &expected[..expected.len() - 1]);
+}
+
+#[test]
+fn directions_follow_their_densities() {
+    for n in [Vec3::Z, -Vec3::Z, Vec3::new(0.6, -0.48, 0.64), Vec3::new(-1.0, 1e-4, 0.0).normalize()] {
+        check_directions("cosine hemisphere", |u| cosine_hemisphere(n, u), |d| cosine_hemisphere_pdf(n, d));
+    }
+    for (center, radius) in [(Vec3::new(0.3, 2.0, 1.0), 1.5), (Vec3::new(0.0, 0.0, -1.0), 0.99)] {
+        let cone = Cone::to_sphere(Vec3::ZERO, center, radius).unwrap();
+        check_directions("cone to a sphere", |u| cone.sample(u), |d| cone.pdf(d));
+    }
+    for corners in [
+        [Vec3::new(-1.0, -1.0, 0.5), Vec3::new(2.0, -1.0, 0.5), Vec3::new(-1.0, 2.0, 0.7)],
+        [Vec3::new(1.0, 0.2, 0.1), Vec3::new(-0.4, 1.0, 0.2), Vec3::new(-0.5, -1.0, 0.3)],
+    ] {
+        let triangle = SphericalTriangle::new(Vec3::ZERO, corners).unwrap();
+        let inside = |d: Vec3| (0..3).all(|i| corners[i].cross(corners[(i + 1) % 3]).dot(d) >= 0.0);
+        let sign = corners[0].cross(corners[1]).dot(corners[2]).signum();
+        check_directions("spherical triangle", |u| triangle.sample(u), |d| {
+            if inside(d * sign) && d.dot(corners[0] + corners[1] + corners[2]) > 0.0 { triangle.pdf() } else { 0.0 }
+        });
+    }
+}
+
+#[test]
+fn mixtures_over_spheres_follow_their_density() {
+    let tile = |c: Vec3, r: f32| [c + Vec3::X * r, c + Vec3::Y * r, c - Vec3::X * r];
+    let far = [tile(Vec3::new(1.0, 0.5, 2.0), 0.4), tile(Vec3::new(1.4, 0.5, 2.0), 0.4), tile(Vec3::new(-2.0, 0.0, 0.6), 0.3)];
+    let near = [tile(Vec3::new(0.0, 0.1, 0.2), 0.5), tile(Vec3::new(2.0, 0.0, 1.0), 0.5)];
+    for (name, triangles) in [("mixture, far", &far[..]), ("mixture, inside a sphere", &near[..])] {
+        let mixture = Mixture::new(&Spheres::new(triangles), Vec3::ZERO, Vec3::Z).unwrap();
+        check_directions(name, |u| mixture.sample(u), |d| mixture.pdf(d));
+    }
+    let below = Spheres::new(&[tile(Vec3::new(0.0, 0.0, -3.0), 0.5)]);
+    assert!(Mixture::new(&below, Vec3::ZERO, Vec3::Z).is_none());
+}
+
+#[test]
+fn a_cone_keeps_its_precision_far_away() {
+    let cone = Cone::to_sphere(Vec3::ZERO, Vec3::new(0.0, 0.0, 4000.0), 0.5).unwrap();
+    let exact = f64::from(PI) * (0.5f64 / 4000.0).powi(2);
+    assert!((f64::from(cone.solid_angle()) / exact - 1.0).abs() < 1e-4);
+    for i in 0..100 {
+        let d = cone.sample([i as f32 / 100.0, 0.3]);
+        assert!(cone.pdf(d) > 0.0 && d.z > 0.999_999);
+    }
+}
+
+#[test]
+fn barycentrics_are_uniform() {
+    let mut rng = Pcg32::new(5, 5);
+    let mut counts = vec![0.0; 16];
+    let n = 160_000;
+    for _ in 0..n {
+        let (b1, b2) = uniform_barycentrics(rng.next_2d());
+        assert!(b1 >= 0.0 && b2 >= 0.0 && b1 + b2 <= 1.0 + 1e-6);
+        // Four congruent rows of 1, 3, 5, 7 small triangles of equal area.
+        let (x, y) = ((b1 * 4.0).min(3.999), (b2 * 4.0).min(3.999));
+        let upper = usize::from(x.fract() + y.fract() > 1.0);
+        let row = x as usize + y as usize + upper;
+        let cell = [0, 1, 4, 9][row.min(3)] + 2 * (y as usize) + upper;
+        counts[cell.min(15)] += 1.0;
+    }
+    assert_chi2("uniform barycentrics", &counts, &vec![n as f64 / 16.0; 16]);
+}
+
+#[test]
+fn discrete_follows_its_weights_and_never_picks_zero() {
+    let weights = [0.0, 1.0, 0.0, 3.0, 0.5, 0.0];
+    let discrete = Discrete::new(weights.iter().copied()).unwrap();
+    let mut rng = Pcg32::new(9, 1);
+    let (mut counts, n) = (vec![0.0; 6], 90_000);
+    for _ in 0..n {
+        let (i, rest) = discrete.sample(rng.next_f32());
+        assert!((0.0..1.0).contains(&rest));
+        counts[i] += 1.0;
+    }
+    assert_eq!((counts[0], counts[2], counts[5]), (0.0, 0.0, 0.0));
+    let expected: Vec<f64> = weights.iter().map(|w| w / 4.5 * f64::from(n)).collect();
+    assert_chi2("discrete", &counts, &expected);
+    assert!(Discrete::new([0.0, 0.0].into_iter()).is_none());
+}

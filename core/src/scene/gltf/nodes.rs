@@ -1,0 +1,129 @@
+//! The node hierarchy: which nodes are in the scene, where they stand, what they are called.
+
+use ::gltf::json;
+use glam::{DMat4, DQuat, DVec3};
+
+use super::warnings::Warnings;
+use super::{LoadError, LoadLimits, malformed};
+
+/// A node of the scene.
+#[derive(Debug)]
+pub(super) struct PlacedNode {
+    /// Index into the file's nodes.
+    pub(super) index: usize,
+    /// Node name, else mesh name, else `node-<index>`; not yet unique.
+    pub(super) name: String,
+    /// Node space to world space, finite.
+    pub(super) world_from_node: DMat4,
+}
+
+/// The nodes of the scene in the order of the file.
+pub(super) fn place(
+    root: &json::Root,
+    limits: &LoadLimits,
+    warnings: &mut Warnings,
+) -> Result<Vec<PlacedNode>, LoadError> {
+    let parents = parents(root)?;
+    let roots = scene_roots(root, &parents, warnings);
+    let mut placed = Vec::new();
+    let mut reached = vec![false; root.nodes.len()];
+    let mut stack: Vec<(usize, DMat4, usize)> = roots.into_iter().map(|node| (node, DMat4::IDENTITY, 1)).collect();
+    while let Some((index, world_from_parent, depth)) = stack.pop() {
+        let name = name_of(root, index);
+        let here = || format!("node {index} \"{name}\"");
+        if std::mem::replace(&mut reached[index], true) {
+            return Err(malformed(&here(), "is in the hierarchy more than once, or among its own ancestors"));
+        }
+        if depth > limits.max_depth {
+            let text = format!("{}: nodes are nested more than {} levels deep", here(), limits.max_depth);
+            return Err(LoadError::TooLarge(text));
+        }
+        let node = &root.nodes[index];
+        let world_from_node = world_from_parent * local_transform(node, &here)?;
+        if !world_from_node.is_finite() {
+            return Err(malformed(&here(), "its transform is not finite"));
+        }
+        if node.skin.is_some() {
+            warnings.add("skins are ignored: meshes are taken in their bind pose", here());
+        }
+        stack.extend(node.children.iter().flatten().map(|child| (child.value(), world_from_node, depth + 1)));
+        placed.push(PlacedNode { index, name, world_from_node });
+    }
+    placed.sort_unstable_by_key(|node| node.index);
+    Ok(placed)
+}
+
+/// Per node its parent. Refuses nodes with several parents and cycles, also outside the scene.
+fn parents(root: &json::Root) -> Result<Vec<Option<usize>>, LoadError> {
+    let mut parents = vec![None; root.nodes.len()];
+    for (index, node) in root.nodes.iter().enumerate() {
+        for child in node.children.iter().flatten() {
+            let here = format!("node {index}");
+            let slot = parents.get_mut(child.value());
+            let slot = slot.ok_or_else(|| malformed(&here, &format!("its child {} does not exist", child.value())))?;
+            if let Some(other) = slot.replace(index) {
+                return Err(malformed(
+                    &format!("node {}", child.value()),
+                    &format!("is a child of node {other} and again of node {index}"),
+                ));
+            }
+        }
+    }
+    // With one parent each, the nodes that no root reaches are those on a cycle and below it.
+    let mut unreached = root.nodes.len();
+    let mut stack: Vec<usize> = (0..parents.len()).filter(|&index| parents[index].is_none()).collect();
+    while let Some(index) = stack.pop() {
+        unreached -= 1;
+        stack.extend(root.nodes[index].children.iter().flatten().map(|child| child.value()));
+    }
+    if unreached > 0 {
+        return Err(LoadError::Malformed(format!("{unreached} nodes are their own ancestors")));
+    }
+    Ok(parents)
+}
+
+/// The default scene, else scene 0, else all nodes without a parent.
+fn scene_roots(root: &json::Root, parents: &[Option<usize>], warnings: &mut Warnings) -> Vec<usize> {
+    let chosen = root.scene.and_then(|index| root.get(index)).or(root.scenes.first());
+    if root.scenes.len() > 1 {
+        let which = root.scene.map_or(0, |index| index.value());
+        warnings.add("the file has several scenes, one was taken", format!("scene {which}"));
+    }
+    match chosen {
+        Some(scene) => scene.nodes.iter().map(|node| node.value()).collect(),
+        None => (0..parents.len()).filter(|&index| parents[index].is_none()).collect(),
+    }
+}
+
+fn name_of(root: &json::Root, index: usize) -> String {
+    let node = &root.nodes[index];
+    let mesh_name = || root.get(node.mesh?)?.name.as_deref();
+    let given = |name: &&str| !name.trim().is_empty();
+    let name = node.name.as_deref().filter(given).or_else(|| mesh_name().filter(given));
+    name.map_or_else(|| format!("node-{index}"), str::to_owned)
+}
+
+fn local_transform(node: &json::Node, here: &dyn Fn() -> String) -> Result<DMat4, LoadError> {
+    if let Some(matrix) = node.matrix {
+        let matrix = DMat4::from_cols_array(&matrix.map(f64::from));
+        if !matrix.is_finite() {
+            return Err(malformed(&here(), "its matrix has a number that is not finite"));
+        }
+        if matrix.row(3) != DMat4::IDENTITY.row(3) {
+            return Err(malformed(&here(), "the last row of its matrix is not 0 0 0 1"));
+        }
+        return Ok(matrix);
+    }
+    let vector = |values: Option<[f32; 3]>, default| values.map_or(default, |v| DVec3::from_array(v.map(f64::from)));
+    let translation = vector(node.translation, DVec3::ZERO);
+    let scale = vector(node.scale, DVec3::ONE);
+    let rotation = DQuat::from_array(node.rotation.unwrap_or_default().0.map(f64::from));
+    if !(translation.is_finite() && scale.is_finite() && rotation.is_finite()) {
+        return Err(malformed(&here(), "its translation, rotation or scale has a number that is not finite"));
+    }
+    let length = rotation.length();
+    if !(0.5..2.0).contains(&length) {
+        return Err(malformed(&here(), &format!("its rotation is not a unit quaternion, its length is {length}")));
+    }
+    Ok(DMat4::from_scale_rotation_translation(scale, rotation / length, translation))
+}

@@ -1,0 +1,62 @@
+//! Lights: a closed set of kinds, matched where light is sampled.
+
+use glam::Vec3;
+
+/// A light with a name. Its strength is `color × intensity` in the unit of its kind.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Light {
+    /// Unique name within the scene: that of its glTF node, or `environment`.
+    pub name: String,
+    /// Where it is and how it spreads.
+    pub kind: LightKind,
+    /// Linear RGB factor.
+    pub color: Vec3,
+    /// Scalar factor: radiance (emissive, environment), candela (point, spot) or lux (directional).
+    pub intensity: f32,
+}
+
+/// The kinds of light. Positions are in world space (metres).
+#[derive(Clone, Debug, PartialEq)]
+pub enum LightKind {
+    /// The emissive triangles of an object: those of one of its materials.
+    Emissive {
+        /// Name of the object.
+        object: String,
+        /// Index into that object's materials.
+        material: u32,
+    },
+    /// `KHR_lights_punctual` point: intensity in candela.
+    Point {
+        /// World-space position.
+        position: glam::DVec3,
+        /// Light ends here (metres), where the file says so: the specification's window is applied.
+        range: Option<f32>,
+    },
+    /// `KHR_lights_punctual` spot: candela, the specification's angular falloff.
+    Spot {
+        /// World-space position.
+        position: glam::DVec3,
+        /// Unit direction in which it shines.
+        direction: Vec3,
+        /// Full intensity up to this angle from `direction`, radians.
+        inner_cone_angle: f32,
+        /// No light beyond this angle, radians.
+        outer_cone_angle: f32,
+        /// Light ends here (metres), where the file says so.
+        range: Option<f32>,
+    },
+    /// `KHR_lights_punctual` directional: lux on a surface that faces it.
+    Directional {
+        /// Unit direction in which it shines.
+        direction: Vec3,
+    },
+    /// Constant radiance from outside.
+    Environment,
+}
+
+impl Light {
+    /// `color × intensity`.
+    pub fn strength(&self) -> Vec3 {
+        self.color * self.intensity
+    }
+}

@@ -1,0 +1,84 @@
+//! What is lit: objects, materials, lights and cameras as plain data, without a tree and without a light map.
+//!
+//! All positions are metres in **scene space**: world space minus [`Scene::origin`], so that a scene that lies
+//! far from the world's origin keeps the full precision of `f32`. What leaves the engine is put back into world space.
+
+mod gltf;
+mod light;
+mod merge;
+mod names;
+mod primitives;
+
+pub use self::gltf::{LoadError, LoadLimits, load_glb};
+pub use self::light::{Light, LightKind};
+pub use self::merge::merge_as_object;
+
+use std::sync::Arc;
+
+use glam::{DMat4, DVec3, Vec3};
+
+/// A scene without its light map. Cheap to clone: geometry is shared.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// World-space point (metres) that is the zero of scene space.
+    pub origin: DVec3,
+    /// Objects in the order of their glTF nodes, inserted ones behind them. Names are unique.
+    pub objects: Vec<Object>,
+    /// All lights, emissive surfaces included. Names are unique.
+    pub lights: Vec<Light>,
+    /// Cameras of the file, in its order.
+    pub cameras: Vec<Camera>,
+    /// What the file asked for and did not get, in words for a person.
+    pub warnings: Vec<String>,
+    /// Triangles without an area that were dropped.
+    pub degenerate_triangles: usize,
+}
+
+/// A named glTF node with a mesh: the unit of an edit.
+#[derive(Clone, Debug)]
+pub struct Object {
+    /// Unique name within the scene.
+    pub name: String,
+    /// Geometry in object space.
+    pub mesh: Arc<Mesh>,
+    /// Materials, indexed by [`Mesh::triangle_materials`].
+    pub materials: Vec<Material>,
+    /// Object space to world space (not scene space), metres.
+    pub world_from_object: DMat4,
+}
+
+/// Triangles in object space, as the file gave them (winding not yet flipped for mirroring transforms).
+#[derive(Clone, Debug, Default)]
+pub struct Mesh {
+    /// Vertex positions.
+    pub positions: Vec<Vec3>,
+    /// Unit vertex normals; empty where the file has none for any primitive (flat shading). A zero vector marks a
+    /// vertex of a primitive without normals.
+    pub normals: Vec<Vec3>,
+    /// Vertex indices, counter-clockwise seen from the front.
+    pub triangles: Vec<[u32; 3]>,
+    /// Per triangle: index into [`Object::materials`].
+    pub triangle_materials: Vec<u32>,
+}
+
+/// A diffuse material.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Material {
+    /// Diffuse albedo, linear RGB, each in 0..=1.
+    pub albedo: Vec3,
+    /// Emitted radiance at upload, linear RGB. The radiance in force is the strength of the [`Light`] of this material.
+    pub emission: Vec3,
+    /// Both sides reflect (and emit). The back of a single-sided surface blocks light and reflects none.
+    pub double_sided: bool,
+}
+
+/// A perspective camera of the file, in world space.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Camera {
+    /// Name of its node.
+    pub name: String,
+    /// Camera space (looking down −z, +y up) to world space.
+    pub world_from_camera: DMat4,
+    /// Vertical field of view, radians.
+    pub fov_y: f32,
+}

@@ -1,0 +1,108 @@
+//! Light that arrives straight from lights.
+
+use glam::Vec3;
+
+use super::{Canceled, Work};
+use crate::bvh::Ray;
+use crate::random::{Pcg32, R2, subseed};
+use crate::sampling::cosine_hemisphere;
+use crate::world::{Emitter, Trees, World};
+
+/// Shadow rays end this part of their length before the light.
+pub(crate) const SHADOW_END: f32 = 1e-4;
+
+/// How many samples each light gets, for a nominal number per element.
+#[derive(Clone, Debug)]
+pub(crate) struct DirectLight {
+    /// Samples per emitter, in the order of the world's list.
+    pub samples: Vec<u32>,
+    /// Cosine samples of the environment.
+    pub environment: u32,
+}
+
+impl DirectLight {
+    /// Splits `samples` between the lights by power; lights without extent take one, exactly.
+    pub(crate) fn new(world: &World, samples: u32) -> DirectLight {
+        let emitters = &world.emitters;
+        let count = emitters.list.len().max(1) as f32;
+        let total = samples as f32 * count.sqrt();
+        let share = |i: usize| emitters.choice.as_ref().map_or(0.0, |c| c.pdf(i));
+        let of = |(i, emitter): (usize, &Emitter)| match () {
+            () if emitter.strength == Vec3::ZERO => 0,
+            () if emitter.is_delta() => 1,
+            () => ((total * share(i)).round() as u32).clamp(1, samples.max(1)),
+        };
+        let environment = if world.emitters.environment == Vec3::ZERO { 0 } else { samples };
+        DirectLight { samples: emitters.list.iter().enumerate().map(of).collect(), environment }
+    }
+
+    /// irradiance / π at a point with unit normal `n`, light by light added up.
+    pub(crate) fn estimate(&self, world: &World, point: Vec3, n: Vec3, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
+        let mut sum = Vec3::ZERO;
+        for (emitter, &count) in world.emitters.list.iter().zip(&self.samples) {
+            if count == 0 || below_horizon(emitter, point, n) {
+                continue;
+            }
+            let sequence = R2::new(rng);
+            let mut weight = 0.0;
+            for k in 0..count {
+                weight += visible_weight(emitter, world, &world.trees, point, n, sequence.get(k), rays);
+            }
+            sum += emitter.strength * (weight / count as f32);
+        }
+        if self.environment > 0 {
+            let sequence = R2::new(rng);
+            let mut free = 0;
+            for k in 0..self.environment {
+                let direction = cosine_hemisphere(n, sequence.get(k));
+                *rays += 1;
+                free += u32::from(!world.trees.any_hit(&Ray { origin: point, direction, t_min: 0.0, t_max: f32::INFINITY }));
+            }
+            sum += world.emitters.environment * (free as f32 / self.environment as f32);
+        }
+        sum
+    }
+}
+
+/// Weight of one sample of an emitter, zero where it is hidden.
+#[inline]
+pub(crate) fn visible_weight(
+    emitter: &Emitter,
+    world: &World,
+    trees: &Trees,
+    point: Vec3,
+    n: Vec3,
+    u: [f32; 2],
+    rays: &mut u64,
+) -> f32 {
+    let Some(sample) = emitter.sample(point, n, u) else { return 0.0 };
+    *rays += 1;
+    let end = if sample.distance.is_finite() { sample.distance * SHADOW_END + world.epsilon } else { 0.0 };
+    if trees.visible(point, sample.direction, sample.distance, end) { sample.weight } else { 0.0 }
+}
+
+/// Whether all of a light lies below the surface's horizon.
+#[inline]
+pub(crate) fn below_horizon(emitter: &Emitter, point: Vec3, n: Vec3) -> bool {
+    emitter.sphere().is_some_and(|(center, radius)| n.dot(center - point) <= -radius)
+}
+
+/// One sample of one light chosen by power, for a vertex of a path. Environment light is the path's own.
+#[inline]
+pub(crate) fn one_light(world: &World, point: Vec3, n: Vec3, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
+    let Some(choice) = &world.emitters.choice else { return Vec3::ZERO };
+    let (index, _) = choice.sample(rng.next_f32());
+    let emitter = &world.emitters.list[index];
+    let weight = visible_weight(emitter, world, &world.trees, point, n, rng.next_2d(), rays);
+    emitter.strength * (weight / choice.pdf(index))
+}
+
+/// Direct light of many elements.
+pub(crate) fn direct_of(world: &World, slots: &[u32], samples: u32, seed: u64, work: &Work) -> Result<Vec<Vec3>, Canceled> {
+    let direct = DirectLight::new(world, samples);
+    let seed = subseed(seed, 0xd1);
+    work.map(slots, |_, slot, rays| {
+        let (point, n) = world.ray_origin(slot as usize);
+        direct.estimate(world, point, n, &mut Pcg32::new(seed, u64::from(slot)), rays)
+    })
+}

@@ -1,0 +1,154 @@
+//! ΔD: the change of light that arrives straight from lights, on elements that stay.
+
+use glam::Vec3;
+
+use crate::bvh::{Bvh, Ray};
+use crate::job::Canceled;
+use crate::random::{Pcg32, R2, subseed};
+use crate::sampling::{Spheres, cosine_hemisphere};
+use crate::transport::direct::{SHADOW_END, below_horizon};
+use crate::transport::{DirectLight, Work};
+use crate::world::{Emitter, Transition, World};
+
+/// One light in both worlds.
+struct Pair<'a> {
+    /// Geometry of the light, the same in both worlds.
+    emitter: &'a Emitter,
+    /// Strength before and after.
+    before: Vec3,
+    after: Vec3,
+    samples_share: usize,
+    /// Whose sample counts apply.
+    in_after: bool,
+}
+
+/// How direct light changes between two worlds.
+pub(super) struct DirectChange<'a> {
+    transition: &'a Transition,
+    pairs: Vec<Pair<'a>>,
+    /// Sphere around all geometry that came or went.
+    sphere: Option<(Vec3, f32)>,
+}
+
+impl<'a> DirectChange<'a> {
+    pub(super) fn new(transition: &'a Transition) -> DirectChange<'a> {
+        let (before, after) = (&transition.before, &transition.after);
+        let stays = |e: &Emitter, in_world: &World, other: &World| {
+            // A light on an object stays where its object did.
+            e.object.is_none_or(|key| {
+                let find = |w: &World| w.placed.iter().find(|p| p.key == key).map(|p| std::sync::Arc::as_ptr(&p.surface));
+                find(in_world) == find(other)
+            })
+        };
+        let mut pairs = Vec::new();
+        let mut matched = vec![false; before.emitters.list.len()];
+        for (i, emitter) in after.emitters.list.iter().enumerate() {
+            let old = before.emitters.list.iter().position(|o| o.name == emitter.name && o.same_shape(emitter));
+            let old = old.filter(|_| stays(emitter, after, before));
+            if let Some(o) = old {
+                matched[o] = true;
+            }
+            let strength = old.map_or(Vec3::ZERO, |o| before.emitters.list[o].strength);
+            pairs.push(Pair { emitter, before: strength, after: emitter.strength, samples_share: i, in_after: true });
+        }
+        for (i, emitter) in before.emitters.list.iter().enumerate().filter(|(i, _)| !matched[*i]) {
+            let (was, now) = (emitter.strength, Vec3::ZERO);
+            pairs.push(Pair { emitter, before: was, after: now, samples_share: i, in_after: false });
+        }
+        let triangles: Vec<[Vec3; 3]> = transition.changed_triangles();
+        DirectChange { transition, pairs, sphere: Spheres::new(&triangles).bounding() }
+    }
+
+    /// Adds ΔD of all `rows` to `out`.
+    pub(super) fn estimate(
+        &self,
+        rows: &[u32],
+        samples: u32,
+        seed: u64,
+        work: &Work,
+        out: &mut [Vec3],
+    ) -> Result<(), Canceled> {
+        let (before, after) = (&self.transition.before, &self.transition.after);
+        let counts = [DirectLight::new(before, samples), DirectLight::new(after, samples)];
+        let environment = after.emitters.environment - before.emitters.environment;
+        if self.sphere.is_none() && environment == Vec3::ZERO && self.pairs.iter().all(|p| p.before == p.after) {
+            return Ok(());
+        }
+        let seed = subseed(seed, 0xdd);
+        let change = work.map(rows, |_, slot, rays| {
+            let (point, n) = after.ray_origin(slot as usize);
+            let mut rng = Pcg32::new(seed, u64::from(slot));
+            let mut sum = Vec3::ZERO;
+            for pair in &self.pairs {
+                let count = counts[usize::from(pair.in_after)].samples[pair.samples_share].max(1);
+                sum += self.pair_change(pair, count, point, n, &mut rng, rays);
+            }
+            if environment != Vec3::ZERO {
+                sum += environment * self.sky_before(point, n, samples, &mut rng, rays);
+            }
+            sum
+        })?;
+        rows.iter().zip(change).for_each(|(&slot, c)| out[slot as usize] += c);
+        Ok(())
+    }
+
+    fn pair_change(&self, pair: &Pair, count: u32, point: Vec3, n: Vec3, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
+        let emitter = pair.emitter;
+        let steady = pair.before == pair.after;
+        if steady && (pair.before == Vec3::ZERO || !self.may_be_cut(emitter, point)) || below_horizon(emitter, point, n) {
+            return Vec3::ZERO;
+        }
+        let sequence = R2::new(rng);
+        let mut sum = Vec3::ZERO;
+        for k in 0..count {
+            let Some(sample) = emitter.sample(point, n, sequence.get(k)) else { continue };
+            let end = if sample.distance.is_finite() { sample.distance * SHADOW_END + self.transition.after.epsilon } else { 0.0 };
+            let ray = Ray { origin: point, direction: sample.direction, t_min: 0.0, t_max: sample.distance - end };
+            let came = self.hides(&self.transition.come, &ray, rays);
+            let went = self.hides(&self.transition.gone, &ray, rays);
+            let (before, after) = (pair.before * f32::from(!went), pair.after * f32::from(!came));
+            if before == after {
+                continue;
+            }
+            *rays += 1;
+            if !self.transition.common.any_hit(&ray) {
+                sum += (after - before) * sample.weight;
+            }
+        }
+        sum / count as f32
+    }
+
+    fn hides(&self, tree: &Option<std::sync::Arc<Bvh>>, ray: &Ray, rays: &mut u64) -> bool {
+        tree.as_ref().is_some_and(|t| {
+            *rays += 1;
+            t.any_hit(ray, None)
+        })
+    }
+
+    /// Whether a segment to the light can pass through the sphere of changed geometry: their cones overlap.
+    fn may_be_cut(&self, emitter: &Emitter, point: Vec3) -> bool {
+        let Some((center, radius)) = self.sphere else { return false };
+        let Some((light, light_radius)) = emitter.sphere() else { return true };
+        let (to_object, to_light) = (center - point, light - point);
+        let (object_distance, light_distance) = (to_object.length(), to_light.length());
+        if object_distance <= radius || light_distance <= light_radius {
+            return true;
+        }
+        if object_distance - radius > light_distance + light_radius {
+            return false;
+        }
+        let angle = (to_object.dot(to_light) / (object_distance * light_distance)).clamp(-1.0, 1.0).acos();
+        angle <= (radius / object_distance).asin() + (light_radius / light_distance).asin() + 1e-4
+    }
+
+    /// Free part of the sky before the edit, by the cosine: the change of what hides it is with the source's rays.
+    fn sky_before(&self, point: Vec3, n: Vec3, samples: u32, rng: &mut Pcg32, rays: &mut u64) -> f32 {
+        let sequence = R2::new(rng);
+        let free = (0..samples).filter(|&k| {
+            let direction = cosine_hemisphere(n, sequence.get(k));
+            *rays += 1;
+            !self.transition.before.trees.any_hit(&Ray { origin: point, direction, t_min: 0.0, t_max: f32::INFINITY })
+        });
+        free.count() as f32 / samples as f32
+    }
+}

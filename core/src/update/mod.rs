@@ -1,0 +1,174 @@
+//! Light maps brought up to date after an edit by equation (1) of the design,
+//! `L_B − L_A = (I − T_B)⁻¹ S` with `S = (E_B − E_A) + (T_B − T_A) L_A`.
+//!
+//! In terms of the stored `M = D + I` (direct and indirect irradiance / π) and the gather G:
+//! - new rows (elements of what came) are gathered from the old light, with the new direct light, to convergence;
+//! - `ΔD` on static rows is the change of direct light, `S` what their rays see of the objects and no more of what
+//!   lies behind them: `S = (G_B − G_A)[ρ M]`, along rays that meet what came or went;
+//! - everything else is transport in the new scene: `X = Σ_k u_k`, `u_1 = G_B[ρ (S + ΔD) + Δρ M_A]`,
+//!   `u_{k+1} = G_B[ρ u_k]`, a contraction whatever the edit.
+
+mod direct;
+mod new_rows;
+mod source;
+
+use std::sync::Arc;
+
+use glam::Vec3;
+
+use crate::accumulate::Accumulator;
+use crate::job::{Budget, Canceled, Observer, Pass};
+use crate::lightmap::LightMap;
+use crate::random::subseed;
+use crate::rounds::{self, Round};
+use crate::solve::{Subset, propagate};
+use crate::transport::{Surfel, Work};
+use crate::world::{Transition, World};
+
+/// Samples of the propagation per sample of the source.
+const PROPAGATION_SAMPLES: u32 = 8;
+
+/// Brings `map`, which is right for `transition.before`, up to date with `transition.after`. Progressive as
+/// [`crate::bake`] is; answering 0 to the first [`Observer::plan_round`] gives the old map in its new slots.
+pub fn update(
+    transition: &Transition,
+    map: &LightMap,
+    budget: &Budget,
+    seed: u64,
+    observer: &dyn Observer,
+) -> Result<Arc<LightMap>, Canceled> {
+    let work = Work::new(observer);
+    let world = &transition.after;
+    let updater = Updater::new(transition, map, &work);
+    let seed = subseed(seed, 0xed17);
+    let areas = world.areas();
+    let result = rounds::run(world.slots(), areas, budget, seed, &work, |r| updater.round(r), |s| updater.compose(s))?;
+    Ok(result.unwrap_or_else(|| Arc::new(transition.carry_over(map))))
+}
+
+/// What all rounds of an update share.
+struct Updater<'a> {
+    transition: &'a Transition,
+    world: &'a World,
+    work: &'a Work<'a>,
+    /// The old map in the new slots; zero on new rows.
+    old: LightMap,
+    /// direct + indirect of `old`.
+    old_total: Vec<Vec3>,
+    /// direct + indirect of the map of `before`, in its slots.
+    before_total: Vec<Vec3>,
+    /// Computed elements that keep an old value.
+    static_rows: Vec<u32>,
+    subset: Subset,
+    source: source::Source<'a>,
+    direct: direct::DirectChange<'a>,
+    /// Change of albedo per part of the new world.
+    repaint: Vec<Vec3>,
+}
+
+impl<'a> Updater<'a> {
+    fn new(transition: &'a Transition, map: &LightMap, work: &'a Work<'a>) -> Updater<'a> {
+        let world = &transition.after;
+        let mut old = transition.carry_over(map);
+        let mut is_new = vec![false; world.slots()];
+        for &slot in &transition.new_rows {
+            let slot = slot as usize;
+            is_new[slot] = true;
+            old.direct[slot] = Vec3::ZERO;
+            old.indirect[slot] = Vec3::ZERO;
+            old.variance[slot] = 0.0;
+        }
+        let total = |m: &LightMap| m.direct.iter().zip(&m.indirect).map(|(d, i)| *d + *i).collect::<Vec<_>>();
+        let static_rows: Vec<u32> = world.computed_slots().into_iter().filter(|&i| !is_new[i as usize]).collect();
+        let before = &transition.before.parts;
+        let repaint = (world.parts.iter().enumerate())
+            .map(|(i, p)| before.get(i).map_or(Vec3::ZERO, |b| p.albedo - b.albedo))
+            .collect();
+        Updater {
+            transition,
+            world,
+            work,
+            old_total: total(&old),
+            before_total: total(map),
+            old,
+            static_rows,
+            subset: Subset::new(world),
+            source: source::Source::new(transition),
+            direct: direct::DirectChange::new(transition),
+            repaint,
+        }
+    }
+
+    /// One independent estimate: changes on static rows, values on new rows.
+    fn round(&self, round: &Round) -> Result<(Vec<Vec3>, Vec<Vec3>), Canceled> {
+        let (world, work) = (self.world, self.work);
+        (round.begin)(Pass::Direct, 0.0);
+        let mut direct = vec![Vec3::ZERO; world.slots()];
+        self.direct.estimate(&self.static_rows, round.samples, round.seed, work, &mut direct)?;
+
+        (round.begin)(Pass::Object, 0.2);
+        let mut indirect = vec![Vec3::ZERO; world.slots()];
+        self.new_rows(round, &mut direct, &mut indirect)?;
+
+        (round.begin)(Pass::Source, 0.4);
+        // What the rays of S look up in the new scene: the old map, and the new rows' own values.
+        let mut guess = self.old_total.clone();
+        for &slot in &self.transition.new_rows {
+            guess[slot as usize] = direct[slot as usize] + indirect[slot as usize];
+        }
+        world.validity.fill(&mut guess);
+        let maps = source::Maps { before: &self.before_total, after: &guess };
+        self.source.estimate(&self.static_rows, &maps, round, work, &mut direct, &mut indirect)?;
+
+        (round.begin)(Pass::Propagation, 0.8);
+        let bounces = self.propagate(&direct, &indirect, round)?;
+        indirect.iter_mut().zip(bounces).for_each(|(i, b)| *i += b);
+        Ok((direct, indirect))
+    }
+
+    /// X = Σ_k u_k. New rows have gathered ΔD and the repainted surfaces already: they see only what S changed.
+    fn propagate(&self, direct: &[Vec3], indirect: &[Vec3], round: &Round) -> Result<Vec<Vec3>, Canceled> {
+        let world = self.world;
+        let (mut seen_by_old, mut seen_by_new) = (vec![Vec3::ZERO; world.slots()], vec![Vec3::ZERO; world.slots()]);
+        for &slot in &self.static_rows {
+            let slot = slot as usize;
+            seen_by_new[slot] = indirect[slot];
+            seen_by_old[slot] = direct[slot] + indirect[slot];
+        }
+        world.validity.fill(&mut seen_by_old);
+        world.validity.fill(&mut seen_by_new);
+        let is_new = self.new_flags();
+        let repainted = self.repaint.iter().any(|r| *r != Vec3::ZERO);
+        let first = |slot: u32, s: &Surfel| {
+            let Some(elements) = s.elements else { return Vec3::ZERO };
+            if is_new[slot as usize] {
+                return s.albedo * s.interpolate(elements, &seen_by_new);
+            }
+            let change = s.albedo * s.interpolate(elements, &seen_by_old);
+            if !repainted {
+                return change;
+            }
+            change + self.repaint[s.part as usize] * s.interpolate(elements, &self.old_total)
+        };
+        let samples = (round.samples * 2).clamp(PROPAGATION_SAMPLES, 64);
+        propagate(world, &self.subset, &first, samples, subseed(round.seed, 0x9409), self.work)
+    }
+
+    fn new_flags(&self) -> Vec<bool> {
+        let mut flags = vec![false; self.world.slots()];
+        self.transition.new_rows.iter().for_each(|&slot| flags[slot as usize] = true);
+        flags
+    }
+
+    /// Old values plus the mean change on static rows, mean values on new rows.
+    fn compose(&self, sum: &Accumulator) -> LightMap {
+        let mut map = self.old.clone();
+        let (direct, indirect, variance) = (sum.direct(), sum.indirect(), sum.variance());
+        let add = |a: &mut [Vec3], b: &[Vec3]| a.iter_mut().zip(b).for_each(|(x, y)| *x += *y);
+        add(&mut map.direct, &direct);
+        add(&mut map.indirect, &indirect);
+        map.variance.iter_mut().zip(variance).for_each(|(x, y)| *x += y);
+        self.world.fill_invalid(&mut map);
+        map
+    }
+}

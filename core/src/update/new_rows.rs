@@ -1,0 +1,89 @@
+//! Elements without an old value: gathered from the old light, with the new direct light, and from one another.
+
+use glam::Vec3;
+
+use super::Updater;
+use crate::bake::NEAR;
+use crate::job::Canceled;
+use crate::random::subseed;
+use crate::rounds::Round;
+use crate::transport::direct::direct_of;
+use crate::transport::{LightField, gather, gather_with};
+
+/// Samples of new rows per sample of the others: they have no old map to lean on (design, section 3.8 c).
+const NEW_ROW_SAMPLES: u32 = 4;
+
+/// Samples of a pass among the new rows themselves.
+const SELF_SAMPLES: u32 = 16;
+
+/// Passes among the new rows end at this part of the largest change, or after `MAX_PASSES`.
+const RESIDUAL: f32 = 2e-3;
+const MAX_PASSES: u32 = 24;
+
+impl Updater<'_> {
+    /// Direct and indirect light of new rows, written over their slots. `direct` holds ΔD of the static rows.
+    pub(super) fn new_rows(&self, round: &Round, direct: &mut [Vec3], indirect: &mut [Vec3]) -> Result<(), Canceled> {
+        let rows = &self.transition.new_rows;
+        if rows.is_empty() {
+            return Ok(());
+        }
+        let (world, work) = (self.world, self.work);
+        let samples = round.samples * NEW_ROW_SAMPLES;
+        // What they see of the elements that stay: old light, changed direct light.
+        let mut field: Vec<Vec3> = self.old_total.iter().zip(&*direct).map(|(t, d)| *t + *d).collect();
+        let own_direct = direct_of(world, rows, samples, subseed(round.seed, 0xd0), work)?;
+        for (&slot, d) in rows.iter().zip(&own_direct) {
+            direct[slot as usize] = *d;
+            field[slot as usize] = *d;
+        }
+        world.validity.fill(&mut field);
+        if round.sum.samples() == 0 {
+            self.self_passes(round.seed, &own_direct, &mut field)?;
+        } else {
+            let known = round.sum.indirect();
+            rows.iter().for_each(|&slot| field[slot as usize] += known[slot as usize]);
+        }
+        let light = LightField { total: &field, near: NEAR * world.spacing() };
+        let gathered = gather(world, &light, rows, samples, subseed(round.seed, 0x0b), work)?;
+        rows.iter().zip(gathered).for_each(|(&slot, i)| indirect[slot as usize] = i);
+        Ok(())
+    }
+
+    /// Light among the new rows, on their subset, until it stands still. All passes use the same rays: a fixed
+    /// contraction, whose residual is exact.
+    fn self_passes(&self, seed: u64, own_direct: &[Vec3], field: &mut [Vec3]) -> Result<(), Canceled> {
+        let (world, rows) = (self.world, &self.transition.new_rows);
+        let is_new = self.new_flags();
+        let evaluated: Vec<usize> =
+            (0..self.subset.slots.len()).filter(|&i| is_new[self.subset.slots[i] as usize]).collect();
+        let slots: Vec<u32> = evaluated.iter().map(|&i| self.subset.slots[i]).collect();
+        let seed = subseed(seed, 0x5e1f);
+        let mut values = vec![Vec3::ZERO; self.subset.slots.len()];
+        let mut largest = 0.0f32;
+        for _ in 0..MAX_PASSES {
+            let gathered = {
+                let field = &*field;
+                self.work.map(&slots, |_, slot, rays| {
+                    gather_with(world, slot, SELF_SAMPLES, seed, rays, |s| {
+                        s.elements.map_or(Vec3::ZERO, |e| s.albedo * s.interpolate(e, field))
+                    })
+                })?
+            };
+            let mut change = 0.0f32;
+            for (&i, g) in evaluated.iter().zip(&gathered) {
+                change = change.max((*g - values[i]).abs().max_element());
+                values[i] = *g;
+            }
+            let spread = self.subset.interpolate(&values);
+            for (&slot, d) in rows.iter().zip(own_direct) {
+                field[slot as usize] = *d + spread[slot as usize];
+            }
+            world.validity.fill(field);
+            largest = largest.max(change);
+            if change <= RESIDUAL * largest {
+                break;
+            }
+        }
+        Ok(())
+    }
+}

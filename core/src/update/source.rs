@@ -1,0 +1,117 @@
+//! S: what rays of the elements that stay see of what came or went, less what they saw or see behind it. One ray serves
+//! both signs.
+
+use std::f32::consts::FRAC_1_PI;
+
+use glam::Vec3;
+
+use crate::bvh::{Bvh, Hit, Ray};
+use crate::job::Canceled;
+use crate::random::{Pcg32, R2, subseed};
+use crate::rounds::Round;
+use crate::sampling::{Mixture, Spheres};
+use crate::transport::{Surfel, Work};
+use crate::world::{Transition, World};
+
+/// From this part of the hemisphere on an element gets all samples; less coverage, less to know.
+const FULL_COVERAGE: f32 = 0.15;
+
+/// Light maps (direct + indirect) to look up, in the slots of their worlds.
+pub(super) struct Maps<'a> {
+    pub before: &'a [Vec3],
+    pub after: &'a [Vec3],
+}
+
+/// Rays towards the geometry of an edit.
+pub(super) struct Source<'a> {
+    transition: &'a Transition,
+    spheres: Spheres,
+}
+
+impl<'a> Source<'a> {
+    pub(super) fn new(transition: &'a Transition) -> Source<'a> {
+        Source { transition, spheres: Spheres::new(&transition.changed_triangles()) }
+    }
+
+    /// Adds S to `indirect` and the change of visible sky to `direct`, for all `rows`.
+    pub(super) fn estimate(
+        &self,
+        rows: &[u32],
+        maps: &Maps,
+        round: &Round,
+        work: &Work,
+        direct: &mut [Vec3],
+        indirect: &mut [Vec3],
+    ) -> Result<(), Canceled> {
+        if !self.transition.moves_geometry() {
+            return Ok(());
+        }
+        let (seed, full) = (subseed(round.seed, 0x50c), round.samples as f32);
+        let values = work.map(rows, |_, slot, rays| {
+            let (point, n) = self.transition.after.ray_origin(slot as usize);
+            let Some(mixture) = Mixture::new(&self.spheres, point, n) else { return (Vec3::ZERO, Vec3::ZERO) };
+            let wanted = full * (mixture.coverage() / FULL_COVERAGE).min(1.0);
+            let samples = (wanted.ceil() as u32).max(1);
+            let mut rng = Pcg32::new(seed, u64::from(slot));
+            let sequence = R2::new(&mut rng);
+            let (mut sky, mut reflected) = (Vec3::ZERO, Vec3::ZERO);
+            for k in 0..samples {
+                let direction = mixture.sample(sequence.get(k));
+                let cos = n.dot(direction);
+                if cos <= 0.0 {
+                    continue;
+                }
+                let ray = Ray { origin: point, direction, t_min: 0.0, t_max: f32::INFINITY };
+                if let Some((s, r)) = self.ray_change(&ray, maps, rays) {
+                    let weight = cos * FRAC_1_PI / mixture.pdf(direction);
+                    sky += s * weight;
+                    reflected += r * weight;
+                }
+            }
+            (sky / samples as f32, reflected / samples as f32)
+        })?;
+        for (&slot, (sky, reflected)) in rows.iter().zip(values) {
+            direct[slot as usize] += sky;
+            indirect[slot as usize] += reflected;
+        }
+        Ok(())
+    }
+
+    /// Change of (sky radiance, reflected radiance) along a ray; none where both worlds look the same.
+    fn ray_change(&self, ray: &Ray, maps: &Maps, rays: &mut u64) -> Option<(Vec3, Vec3)> {
+        let t = self.transition;
+        let came = closest(t.come.as_deref(), ray, rays);
+        let went = closest(t.gone.as_deref(), ray, rays);
+        if came.is_none() && went.is_none() {
+            return None;
+        }
+        *rays += 1;
+        let behind = t.common.closest_hit(ray);
+        let distance = |h: &Option<Hit>| h.map_or(f32::INFINITY, |h| h.t);
+        let (came_t, went_t, behind_t) = (distance(&came), distance(&went), distance(&behind));
+        if behind_t <= came_t && behind_t <= went_t {
+            return None;
+        }
+        // The static surface as it was, in both worlds: repainted surfaces are a source of their own.
+        let unchanged = |hit: &Option<Hit>| look(&t.before, ray, hit.as_ref(), maps.before);
+        let after = if came_t < behind_t { look(&t.after, ray, came.as_ref(), maps.after) } else { unchanged(&behind) };
+        let before = if went_t < behind_t { unchanged(&went) } else { unchanged(&behind) };
+        let sky = |world: &World, hidden: bool| if hidden { Vec3::ZERO } else { world.emitters.environment };
+        let free = behind.is_none();
+        let sky = sky(&t.after, !free || came.is_some()) - sky(&t.after, !free || went.is_some());
+        Some((sky, after - before))
+    }
+}
+
+fn closest(tree: Option<&Bvh>, ray: &Ray, rays: &mut u64) -> Option<Hit> {
+    tree.and_then(|t| {
+        *rays += 1;
+        t.closest_hit(ray, None)
+    })
+}
+
+/// Reflected radiance of a hit in one of the worlds.
+fn look(world: &World, ray: &Ray, hit: Option<&Hit>, map: &[Vec3]) -> Vec3 {
+    let Some(surfel) = hit.and_then(|h| Surfel::new(world, ray, h)) else { return Vec3::ZERO };
+    surfel.elements.map_or(Vec3::ZERO, |e| surfel.albedo * surfel.interpolate(e, map))
+}

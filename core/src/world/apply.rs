@@ -1,0 +1,535 @@
+//! Edits applied to a world: validated as a whole, then carried out on copies that share what stays the same.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
+use std::sync::Arc;
+
+use glam::{DMat4, DVec3, Vec3};
+
+use super::build;
+use super::{Geometry, Part, Placed, Trees, Validity, World, WorldError, probe};
+use crate::bvh::{BuildQuality, Bvh, TriangleMask};
+use crate::edit::{Edit, EditError, EditErrorKind, Relight, name_matches};
+use crate::lightmap::LightMap;
+use crate::scene::{Light, LightKind, merge_as_object};
+
+/// From one world to the next: what an update needs to know.
+#[derive(Clone)]
+pub struct Transition {
+    /// The world the present map is right for.
+    pub before: World,
+    /// The world after all edits.
+    pub after: World,
+    /// What stands in both worlds.
+    pub(crate) common: Trees,
+    /// What stood only in `before`; ids are triangle slots of `before`.
+    pub(crate) gone: Option<Arc<Bvh>>,
+    /// What stands only in `after`; ids are triangle slots of `after`.
+    pub(crate) come: Option<Arc<Bvh>>,
+    /// Elements without an old value that is worth anything: of inserted and moved objects, and those that came out
+    /// of solids. Valid ones only, ascending.
+    pub(crate) new_rows: Vec<u32>,
+}
+
+impl std::fmt::Debug for Transition {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Transition")
+            .field("slots", &(self.before.slots(), self.after.slots()))
+            .field("gone", &self.gone.as_ref().map(|t| t.triangle_count()))
+            .field("come", &self.come.as_ref().map(|t| t.triangle_count()))
+            .field("new_rows", &self.new_rows.len())
+            .finish_non_exhaustive()
+    }
+}
+
+impl Transition {
+    /// The old map in the slots of the new world: old values where elements stay, zero where they go or come.
+    pub fn carry_over(&self, map: &LightMap) -> LightMap {
+        let mut next = LightMap::black(self.after.slots());
+        let (old, new) = (&self.before.geometry.owners, &self.after.geometry.owners);
+        for i in 0..old.len().min(new.len()).min(map.len()) {
+            if old[i] == new[i] && new[i] != super::NO_OBJECT {
+                next.direct[i] = map.direct[i];
+                next.indirect[i] = map.indirect[i];
+                next.variance[i] = map.variance[i];
+            }
+        }
+        next
+    }
+
+    /// Corners of everything that came or went.
+    pub(crate) fn changed_triangles(&self) -> Vec<[Vec3; 3]> {
+        let of = |placed: &Placed| build::corners_of(placed).0;
+        let same = |a: &Placed, b: &Placed| a.key == b.key && Arc::ptr_eq(&a.surface, &b.surface);
+        let only = |these: &[Arc<Placed>], those: &[Arc<Placed>]| -> Vec<[Vec3; 3]> {
+            let known: BTreeMap<u32, &Arc<Placed>> = those.iter().map(|p| (p.key, p)).collect();
+            let differs = |p: &&Arc<Placed>| !known.get(&p.key).is_some_and(|q| same(p, q));
+            these.iter().filter(differs).flat_map(|p| of(p)).collect()
+        };
+        let mut triangles = only(&self.before.placed, &self.after.placed);
+        triangles.extend(only(&self.after.placed, &self.before.placed));
+        triangles
+    }
+
+    /// Whether geometry changed (and not only light or albedo).
+    pub fn moves_geometry(&self) -> bool {
+        self.gone.is_some() || self.come.is_some()
+    }
+}
+
+impl World {
+    /// Applies edits as a unit. On an error nothing has changed and the error names the field at fault.
+    pub fn apply(&self, edits: &[Edit]) -> Result<Transition, EditError> {
+        if edits.is_empty() {
+            return Err(error("edits", "is empty", EditErrorKind::Invalid));
+        }
+        let mut draft = Draft::new(self);
+        for (i, edit) in edits.iter().enumerate() {
+            draft.apply(edit).map_err(|e| EditError { field: format!("edits[{i}].{}", e.field), ..e })?;
+        }
+        draft.finish(self)
+    }
+}
+
+fn error(field: &str, reason: impl Into<String>, kind: EditErrorKind) -> EditError {
+    EditError { field: field.to_owned(), reason: reason.into(), kind }
+}
+
+fn unknown(field: &str, what: &str, name: &str) -> EditError {
+    error(field, format!("there is no {what} named {name:?}"), EditErrorKind::NotFound)
+}
+
+fn invalid(field: &str, reason: &str) -> EditError {
+    error(field, reason, EditErrorKind::Invalid)
+}
+
+/// A world under construction.
+struct Draft {
+    world: World,
+    geometry: Geometry,
+    parts: Vec<Part>,
+    /// Objects of the old world whose geometry is there no more, as they were.
+    gone: BTreeMap<u32, Arc<Placed>>,
+    /// Keys of objects whose geometry is new.
+    come: BTreeSet<u32>,
+    /// Where geometry changed, scene space.
+    touched: Vec<(Vec3, Vec3)>,
+}
+
+impl Draft {
+    fn new(world: &World) -> Draft {
+        Draft {
+            geometry: (*world.geometry).clone(),
+            parts: (*world.parts).clone(),
+            world: world.clone(),
+            gone: BTreeMap::new(),
+            come: BTreeSet::new(),
+            touched: Vec::new(),
+        }
+    }
+
+    fn apply(&mut self, edit: &Edit) -> Result<(), EditError> {
+        match edit {
+            Edit::Insert { asset, name, transform } => {
+                check_transform(transform)?;
+                self.check_free_name(name)?;
+                let (mut object, lights) = merge_as_object(asset, name);
+                object.world_from_object = *transform;
+                for light in lights {
+                    self.check_free_light(&light.name)?;
+                    self.world.scene.lights.push(transformed_light(light, transform));
+                }
+                self.add_object(object)
+            }
+            Edit::Remove { objects } => {
+                if objects.is_empty() {
+                    return Err(invalid("objects", "is empty"));
+                }
+                let mut indices = BTreeSet::new();
+                for (k, name) in objects.iter().enumerate() {
+                    let found = self.find_objects(name);
+                    if found.is_empty() {
+                        return Err(unknown(&format!("objects[{k}]"), "object", name));
+                    }
+                    indices.extend(found);
+                }
+                indices.into_iter().rev().for_each(|i| self.remove_object(i));
+                Ok(())
+            }
+            Edit::Move { object, transform } => {
+                check_transform(transform)?;
+                let index = self.object_index(object)?;
+                self.move_object(index, transform)
+            }
+            Edit::Material { object, albedo } => self.repaint(object, *albedo),
+            Edit::Relight { lights } => lights
+                .iter()
+                .enumerate()
+                .try_for_each(|(k, r)| self.relight(r).map_err(|e| EditError { field: format!("lights[{k}].{}", e.field), ..e })),
+            Edit::InsertLight { name, kind, color, intensity } => {
+                self.check_free_light(name)?;
+                check_strength(Some(*color), Some(*intensity))?;
+                if matches!(kind, LightKind::Emissive { .. }) {
+                    return Err(invalid("light.kind", "an emissive surface is inserted as an object"));
+                }
+                let light = Light { name: name.clone(), kind: kind.clone(), color: *color, intensity: *intensity };
+                check_kind(&light.kind)?;
+                self.world.scene.lights.push(light);
+                Ok(())
+            }
+            Edit::RemoveLight { light } => {
+                let index = self.light_index("light", light)?;
+                self.world.scene.lights.remove(index);
+                Ok(())
+            }
+            Edit::MoveLight { light, position, direction } => {
+                let index = self.light_index("light", light)?;
+                move_light(&mut self.world.scene.lights[index].kind, *position, *direction)
+            }
+        }
+    }
+
+    fn find_objects(&self, pattern: &str) -> Vec<usize> {
+        let objects = self.world.scene.objects.iter().enumerate();
+        let exact: Vec<usize> = objects.clone().filter(|(_, o)| o.name == pattern).map(|(i, _)| i).collect();
+        if !exact.is_empty() || !pattern.contains('*') {
+            return exact;
+        }
+        objects.filter(|(_, o)| name_matches(pattern, &o.name)).map(|(i, _)| i).collect()
+    }
+
+    fn object_index(&self, name: &str) -> Result<usize, EditError> {
+        let objects = &self.world.scene.objects;
+        objects.iter().position(|o| o.name == name).ok_or_else(|| unknown("object", "object", name))
+    }
+
+    fn light_index(&self, field: &str, name: &str) -> Result<usize, EditError> {
+        let lights = &self.world.scene.lights;
+        lights.iter().position(|l| l.name == name).ok_or_else(|| unknown(field, "light", name))
+    }
+
+    fn check_free_name(&self, name: &str) -> Result<(), EditError> {
+        if name.is_empty() || name.len() > 256 {
+            return Err(invalid("name", "must have 1 to 256 bytes"));
+        }
+        if self.world.scene.objects.iter().any(|o| o.name == name) {
+            return Err(error("name", format!("there is an object named {name:?} already"), EditErrorKind::Conflict));
+        }
+        Ok(())
+    }
+
+    fn check_free_light(&self, name: &str) -> Result<(), EditError> {
+        if name.is_empty() || name.len() > 256 {
+            return Err(invalid("name", "must have 1 to 256 bytes"));
+        }
+        if self.world.scene.lights.iter().any(|l| l.name == name) {
+            return Err(error("name", format!("there is a light named {name:?} already"), EditErrorKind::Conflict));
+        }
+        Ok(())
+    }
+
+    fn add_object(&mut self, object: crate::scene::Object) -> Result<(), EditError> {
+        let world = &self.world;
+        let (surface, coarse) =
+            build::subdivide(&world.scene, &object, world.spacing, &world.options).map_err(too_large)?;
+        let present = self.world.placed.iter().map(|p| &*p.surface).chain([&*surface]);
+        build::check_size(present, world.spacing, &world.options).map_err(too_large)?;
+        let key = self.world.next_key;
+        self.world.next_key += 1;
+        let placed = build::place(&mut self.geometry, &mut self.parts, &object, surface, coarse, key, false);
+        self.touched.push(placed.surface.bounds());
+        self.world.scene.objects.push(object);
+        self.world.placed.push(Arc::new(placed));
+        self.come.insert(key);
+        Ok(())
+    }
+
+    fn remove_object(&mut self, index: usize) {
+        let object = self.world.scene.objects.remove(index);
+        let placed = self.world.placed.remove(index);
+        self.world.scene.lights.retain(|l| !matches!(&l.kind, LightKind::Emissive { object: o, .. } if *o == object.name));
+        self.geometry.clear(&placed.placement);
+        self.take_out(&placed);
+    }
+
+    /// Notes that an object's present geometry goes, and takes it out of the trees.
+    fn take_out(&mut self, placed: &Arc<Placed>) {
+        self.touched.push(placed.surface.bounds());
+        if !self.come.remove(&placed.key) {
+            self.gone.entry(placed.key).or_insert_with(|| Arc::clone(placed));
+        }
+        let trees = &mut self.world.trees;
+        let small = trees.small.len();
+        trees.small.retain(|(key, _)| *key != placed.key);
+        if trees.small.len() == small {
+            let mut mask = trees.gone.as_deref().cloned().unwrap_or_else(|| TriangleMask::new(0));
+            placed.placement.triangles.clone().for_each(|id| mask.set(id, true));
+            trees.gone = Some(Arc::new(mask));
+        }
+    }
+
+    fn move_object(&mut self, index: usize, transform: &DMat4) -> Result<(), EditError> {
+        let old = Arc::clone(&self.world.placed[index]);
+        let mut object = self.world.scene.objects[index].clone();
+        let step = *transform * object.world_from_object.inverse();
+        object.world_from_object = *transform;
+        if !is_rigid(&step) {
+            // Another size asks for other elements: the object leaves its slots and comes back in new ones.
+            let lights = self.world.scene.lights.clone();
+            self.remove_object(index);
+            self.world.scene.lights = lights;
+            return self.add_object(object);
+        }
+        let to_scene = DMat4::from_translation(-self.world.scene.origin);
+        let surface = Arc::new(old.surface.transformed(&(to_scene * step * to_scene.inverse())));
+        let first = old.placement.elements.start as usize;
+        self.geometry.write_elements(&surface, first, old.with_back);
+        self.take_out(&old);
+        self.touched.push(surface.bounds());
+        self.come.insert(old.key);
+        let placed = Placed {
+            key: old.key,
+            surface,
+            coarse: Arc::clone(&old.coarse),
+            placement: old.placement.clone(),
+            with_back: old.with_back,
+            parts_first: old.parts_first,
+        };
+        self.world.scene.objects[index] = object;
+        self.world.placed[index] = Arc::new(placed);
+        Ok(())
+    }
+
+    fn repaint(&mut self, name: &str, albedo: Vec3) -> Result<(), EditError> {
+        let index = self.object_index(name)?;
+        if !albedo.is_finite() || albedo.cmplt(Vec3::ZERO).any() || albedo.cmpgt(Vec3::ONE).any() {
+            return Err(invalid("albedo", "must hold three numbers from 0 to 1"));
+        }
+        let first = self.world.placed[index].parts_first as usize;
+        let object = &mut self.world.scene.objects[index];
+        object.materials.iter_mut().for_each(|m| m.albedo = albedo);
+        self.parts[first..first + object.materials.len()].iter_mut().for_each(|p| p.albedo = albedo);
+        Ok(())
+    }
+
+    fn relight(&mut self, relight: &Relight) -> Result<(), EditError> {
+        let index = self.light_index("light", &relight.light)?;
+        check_strength(relight.color, relight.intensity)?;
+        let light = &mut self.world.scene.lights[index];
+        light.color = relight.color.unwrap_or(light.color);
+        light.intensity = relight.intensity.unwrap_or(light.intensity);
+        Ok(())
+    }
+
+    fn finish(mut self, before: &World) -> Result<Transition, EditError> {
+        // An object that came and went within the request leaves a trace in `touched` only, which is harmless.
+        let changed = !self.gone.is_empty() || !self.come.is_empty();
+        let common = self.world.trees.clone();
+        self.install(changed);
+        if changed {
+            self.settle_new_objects()?;
+        }
+        let Draft { mut world, gone, come, touched, .. } = self;
+        let mut ranges = Vec::new();
+        if changed {
+            world.epsilon = world.epsilon.max(build::epsilon_of(&world.geometry));
+            let placed = world.placed.iter().filter(|p| come.contains(&p.key));
+            ranges = placed.map(|p| p.placement.elements.clone()).collect();
+            let grown: Vec<(Vec3, Vec3)> =
+                touched.iter().map(|(l, h)| (*l - Vec3::splat(world.spacing), *h + Vec3::splat(world.spacing))).collect();
+            world.validity = Arc::new(Validity::updated(&before.validity, &world, &ranges, &grown));
+        }
+        let come_trees = world.placed.iter().filter(|p| come.contains(&p.key));
+        let come_tree = merged_tree(come_trees.map(|p| &**p));
+        let gone_tree = merged_tree(gone.values().map(|p| &**p));
+        let new_rows = new_rows(before, &world, &ranges);
+        Ok(Transition { before: before.clone(), common, gone: gone_tree, come: come_tree, new_rows, after: world })
+    }
+
+    /// Moves the drafted arrays into the world.
+    fn install(&mut self, changed: bool) {
+        self.world.parts = Arc::new(self.parts.clone());
+        if changed {
+            self.world.geometry = Arc::new(std::mem::take(&mut self.geometry));
+            self.world.trees.generation += 1;
+            for placed in self.world.placed.iter().filter(|p| self.come.contains(&p.key)) {
+                self.world.trees.small.push((placed.key, build::small_tree(placed)));
+            }
+        }
+        self.world.emitters = Arc::new(self.world.resolve_emitters());
+    }
+
+    /// Backs and solidity of what came, now that it can be asked with rays.
+    fn settle_new_objects(&mut self) -> Result<(), EditError> {
+        let indices: Vec<usize> =
+            (0..self.world.placed.len()).filter(|&i| self.come.contains(&self.world.placed[i].key)).collect();
+        for index in indices {
+            let placed = Arc::clone(&self.world.placed[index]);
+            if !placed.with_back && probe::back_seen(&self.world, index) {
+                self.give_back(index, &placed);
+            }
+            let placed = &self.world.placed[index];
+            let solid = self.world.is_solid(placed);
+            let (first, count) = (placed.parts_first as usize, self.world.scene.objects[index].materials.len());
+            let parts = Arc::make_mut(&mut self.world.parts);
+            parts[first..first + count].iter_mut().for_each(|p| p.solid = solid);
+        }
+        if self.world.slots() > self.world.options.max_elements {
+            let limit = self.world.options.max_elements;
+            return Err(error("asset", format!("the scene would have more than {limit} elements"), EditErrorKind::TooLarge));
+        }
+        Ok(())
+    }
+
+    /// Places an object again, with elements on its back. Its triangle slots stay.
+    fn give_back(&mut self, index: usize, old: &Placed) {
+        let geometry = Arc::make_mut(&mut self.world.geometry);
+        geometry.clear(&old.placement);
+        let object = &self.world.scene.objects[index];
+        let parts = Arc::make_mut(&mut self.world.parts);
+        let placement = geometry.place(&old.surface, old.key, true, old.parts_first);
+        let first = old.parts_first as usize;
+        let back_offset = old.surface.positions.len() as u32;
+        parts[first..first + object.materials.len()].iter_mut().for_each(|p| p.back_offset = back_offset);
+        let placed = Placed {
+            key: old.key,
+            surface: Arc::clone(&old.surface),
+            coarse: Arc::clone(&old.coarse),
+            with_back: true,
+            parts_first: old.parts_first,
+            placement,
+        };
+        self.world.placed[index] = Arc::new(placed);
+        // The triangles may have found another hole than before.
+        let placed = &self.world.placed[index];
+        let tree = build::small_tree(placed);
+        self.world.trees.small.retain(|(key, _)| *key != placed.key);
+        self.world.trees.small.push((placed.key, tree));
+    }
+}
+
+fn merged_tree<'a>(objects: impl Iterator<Item = &'a Placed>) -> Option<Arc<Bvh>> {
+    let (mut corners, mut ids) = (Vec::new(), Vec::new());
+    for placed in objects {
+        let (c, i) = build::corners_of(placed);
+        corners.extend(c);
+        ids.extend(i);
+    }
+    (!ids.is_empty()).then(|| Arc::new(Bvh::build(&corners, &ids, BuildQuality::Fast)))
+}
+
+fn new_rows(before: &World, after: &World, ranges: &[Range<u32>]) -> Vec<u32> {
+    after
+        .computed_slots()
+        .into_iter()
+        .filter(|&i| {
+            ranges.iter().any(|r| r.contains(&i))
+                || (before.geometry.owners.get(i as usize) == Some(&after.geometry.owners[i as usize])
+                    && !before.validity.is_valid(i as usize))
+        })
+        .collect()
+}
+
+fn too_large(error: WorldError) -> EditError {
+    EditError { field: "asset".to_owned(), reason: error.to_string(), kind: EditErrorKind::TooLarge }
+}
+
+fn check_transform(m: &DMat4) -> Result<(), EditError> {
+    if !m.is_finite() {
+        return Err(invalid("transform", "must hold 16 finite numbers"));
+    }
+    if (m.row(3) - glam::DVec4::W).abs().max_element() > 1e-6 {
+        return Err(invalid("transform", "must be affine: its last row is not 0, 0, 0, 1 (16 numbers, column-major)"));
+    }
+    let determinant = m.determinant().abs();
+    let scale = m.x_axis.length() * m.y_axis.length() * m.z_axis.length();
+    if determinant <= 1e-9 * scale || scale <= 0.0 {
+        return Err(invalid("transform", "must be invertible"));
+    }
+    Ok(())
+}
+
+fn check_strength(color: Option<Vec3>, intensity: Option<f32>) -> Result<(), EditError> {
+    if color.is_some_and(|c| !c.is_finite() || c.cmplt(Vec3::ZERO).any()) {
+        return Err(invalid("color", "must hold three finite numbers of at least 0"));
+    }
+    if intensity.is_some_and(|i| !i.is_finite() || i < 0.0) {
+        return Err(invalid("intensity", "must be a finite number of at least 0"));
+    }
+    let strength = color.unwrap_or(Vec3::ONE) * intensity.unwrap_or(1.0);
+    if strength.max_element() > 1e12 {
+        return Err(invalid("intensity", "colour times intensity must not pass 1e12"));
+    }
+    Ok(())
+}
+
+fn check_kind(kind: &LightKind) -> Result<(), EditError> {
+    let finite = match kind {
+        LightKind::Point { position, .. } => position.is_finite(),
+        LightKind::Spot { position, direction, .. } => position.is_finite() && direction.is_normalized(),
+        LightKind::Directional { direction } => direction.is_normalized(),
+        LightKind::Environment | LightKind::Emissive { .. } => true,
+    };
+    if finite { Ok(()) } else { Err(invalid("light", "position and direction must be finite, and the direction not zero")) }
+}
+
+fn move_light(kind: &mut LightKind, to: Option<DVec3>, turn: Option<Vec3>) -> Result<(), EditError> {
+    if to.is_some_and(|p| !p.is_finite()) {
+        return Err(invalid("position", "must hold three finite numbers"));
+    }
+    let turn = match turn.map(Vec3::try_normalize) {
+        Some(None) => return Err(invalid("direction", "must be finite and not zero")),
+        Some(Some(d)) => Some(d),
+        None => None,
+    };
+    match kind {
+        LightKind::Point { position, .. } => *position = to.ok_or_else(|| invalid("position", "is missing"))?,
+        LightKind::Spot { position, direction, .. } => {
+            if to.is_none() && turn.is_none() {
+                return Err(invalid("position", "is missing"));
+            }
+            *position = to.unwrap_or(*position);
+            *direction = turn.unwrap_or(*direction);
+        }
+        LightKind::Directional { direction } => {
+            *direction = turn.ok_or_else(|| invalid("direction", "is missing: a directional light has no position"))?;
+        }
+        LightKind::Emissive { .. } => return Err(invalid("light", "is an emissive surface: move its object")),
+        LightKind::Environment => return Err(invalid("light", "is the environment, which has no place")),
+    }
+    Ok(())
+}
+
+fn transformed_light(mut light: Light, transform: &DMat4) -> Light {
+    let turn = |d: Vec3| transform.transform_vector3(d.as_dvec3()).normalize_or(DVec3::NEG_Z).as_vec3();
+    match &mut light.kind {
+        LightKind::Point { position, .. } => *position = transform.transform_point3(*position),
+        LightKind::Spot { position, direction, .. } => {
+            *position = transform.transform_point3(*position);
+            *direction = turn(*direction);
+        }
+        LightKind::Directional { direction } => *direction = turn(*direction),
+        LightKind::Emissive { .. } | LightKind::Environment => {}
+    }
+    light
+}
+
+fn is_rigid(m: &DMat4) -> bool {
+    let l = glam::DMat3::from_mat4(*m);
+    let error = l.transpose() * l - glam::DMat3::IDENTITY;
+    let largest = error.to_cols_array().into_iter().map(f64::abs).fold(0.0, f64::max);
+    largest < 1e-5 && l.determinant() > 0.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rigid_motions_are_told_from_scalings_and_mirrors() {
+        let turn = DMat4::from_rotation_y(0.7) * DMat4::from_translation(DVec3::new(1.0, 2.0, 3.0));
+        assert!(is_rigid(&turn));
+        assert!(!is_rigid(&DMat4::from_scale(DVec3::splat(1.01))));
+        assert!(!is_rigid(&DMat4::from_scale(DVec3::new(-1.0, 1.0, 1.0))));
+    }
+}

@@ -1,0 +1,126 @@
+//! Subset of an object's elements at which smooth light is evaluated, and the weights that carry values back to all.
+
+use std::collections::BTreeMap;
+
+use glam::{IVec3, Vec3};
+
+/// Representatives of one side of an object and, per element, the representatives it is interpolated from.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Coarse {
+    /// Representatives, as indices of the object's elements.
+    pub representatives: Vec<u32>,
+    /// `offsets[i]..offsets[i + 1]` are the entries of element `i`.
+    pub offsets: Vec<u32>,
+    /// (index into `representatives`, weight); the weights of one element sum to 1.
+    pub entries: Vec<(u32, f32)>,
+}
+
+/// At most this many representatives per element.
+const MAX_ENTRIES: usize = 4;
+
+/// Cells are cubes of size `radius`, one set per dominant direction of the normal.
+type Cell = (u8, i32, i32, i32);
+
+fn cell_of(position: Vec3, normal: Vec3, radius: f32) -> Cell {
+    let a = normal.abs();
+    let axis = if a.x >= a.y && a.x >= a.z {
+        0
+    } else if a.y >= a.z {
+        1
+    } else {
+        2
+    };
+    let side = axis * 2 + u8::from(normal[axis as usize] < 0.0);
+    let c = (position / radius).floor().as_ivec3();
+    (side, c.x, c.y, c.z)
+}
+
+impl Coarse {
+    /// Chooses one representative per cell of `radius` metres.
+    pub(crate) fn new(positions: &[Vec3], normals: &[Vec3], areas: &[f32], radius: f32) -> Coarse {
+        let mut cells: BTreeMap<Cell, Vec<u32>> = BTreeMap::new();
+        for (i, (p, n)) in positions.iter().zip(normals).enumerate() {
+            cells.entry(cell_of(*p, *n, radius)).or_default().push(i as u32);
+        }
+        let mut representatives = Vec::with_capacity(cells.len());
+        let mut cell_index: BTreeMap<Cell, u32> = BTreeMap::new();
+        for (cell, members) in &cells {
+            cell_index.insert(*cell, representatives.len() as u32);
+            representatives.push(nearest_to_mean(members, positions, areas));
+        }
+        let mut coarse = Coarse { representatives, offsets: vec![0], entries: Vec::new() };
+        for (p, n) in positions.iter().zip(normals) {
+            coarse.push_entries(*p, *n, positions, normals, radius, &cell_index);
+        }
+        coarse
+    }
+
+    fn push_entries(
+        &mut self,
+        p: Vec3,
+        n: Vec3,
+        positions: &[Vec3],
+        normals: &[Vec3],
+        radius: f32,
+        cell_index: &BTreeMap<Cell, u32>,
+    ) {
+        let (side, x, y, z) = cell_of(p, n, radius);
+        let mut found: Vec<(u32, f32)> = Vec::with_capacity(27);
+        for d in 0..27 {
+            let step = IVec3::new(d % 3 - 1, d / 3 % 3 - 1, d / 9 - 1);
+            let Some(&r) = cell_index.get(&(side, x + step.x, y + step.y, z + step.z)) else { continue };
+            let element = self.representatives[r as usize] as usize;
+            let w = kernel(p, n, positions[element], normals[element], radius);
+            if w > 0.0 {
+                found.push((r, w));
+            }
+        }
+        if found.is_empty() {
+            found.push((cell_index[&(side, x, y, z)], 1.0));
+        }
+        found.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+        // Weights fall to zero at the first one that is left out, so that no jump appears where the set changes.
+        let floor = found.get(MAX_ENTRIES).map_or(0.0, |e| e.1);
+        found.truncate(MAX_ENTRIES);
+        if found[0].1 > floor {
+            found.iter_mut().for_each(|e| e.1 -= floor);
+        }
+        found.retain(|e| e.1 > 0.0);
+        let total: f32 = found.iter().map(|e| e.1).sum();
+        self.entries.extend(found.iter().map(|(r, w)| (*r, w / total)));
+        self.offsets.push(self.entries.len() as u32);
+    }
+}
+
+/// Weight of a representative: falls with distance, turning of the normal and distance from the tangent plane.
+fn kernel(p: Vec3, n: Vec3, q: Vec3, m: Vec3, radius: f32) -> f32 {
+    let d = q - p;
+    let reach = 1.0 - d.length() / (1.9 * radius);
+    let plane = 1.0 - (d.dot(n).abs() + d.dot(m).abs()) / radius;
+    let turn = n.dot(m);
+    if reach <= 0.0 || plane <= 0.0 || turn <= 0.3 { 0.0 } else { reach * reach * plane * plane * turn.powi(4) }
+}
+
+fn nearest_to_mean(members: &[u32], positions: &[Vec3], areas: &[f32]) -> u32 {
+    let total: f32 = members.iter().map(|&i| areas[i as usize]).sum();
+    let mean = if total > 0.0 {
+        members.iter().map(|&i| positions[i as usize] * areas[i as usize]).sum::<Vec3>() / total
+    } else {
+        positions[members[0] as usize]
+    };
+    let distance = |i: u32| positions[i as usize].distance_squared(mean);
+    members.iter().copied().min_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b))).unwrap_or(0)
+}
+
+impl Coarse {
+    /// (index into `representatives`, weight) of an element, heaviest first.
+    #[inline]
+    pub(crate) fn entries_of(&self, element: u32) -> &[(u32, f32)] {
+        &self.entries[self.offsets[element as usize] as usize..self.offsets[element as usize + 1] as usize]
+    }
+
+    /// Bytes held.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        self.representatives.capacity() * 4 + self.offsets.capacity() * 4 + self.entries.capacity() * 8
+    }
+}

@@ -1,0 +1,260 @@
+//! Lights as transport samples them: resolved from [`Light`]s into scene space.
+
+use std::f32::consts::FRAC_1_PI;
+
+use glam::Vec3;
+
+use crate::sampling::{Discrete, SphericalTriangle, uniform_barycentrics};
+use crate::scene::{Light, LightKind};
+
+/// An emissive triangle in scene space.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct EmissiveTriangle {
+    /// Corners, counter-clockwise from the front.
+    pub corners: [Vec3; 3],
+    /// Unit geometric normal.
+    pub normal: Vec3,
+    /// m².
+    pub area: f32,
+}
+
+/// Where a light's rays come from.
+#[derive(Clone, Debug)]
+pub(crate) enum Shape {
+    /// Emissive triangles.
+    Surface {
+        /// In spatial order, so that inversion keeps stratification.
+        triangles: Vec<EmissiveTriangle>,
+        /// By area.
+        choice: Discrete,
+        /// Both sides emit.
+        double_sided: bool,
+        /// Bounding sphere.
+        center: Vec3,
+        /// m.
+        radius: f32,
+    },
+    /// Point or spot: candela; `spot` holds direction, cosines of inner and outer angle.
+    Point { position: Vec3, spot: Option<(Vec3, f32, f32)>, range: Option<f32> },
+    /// Parallel light: lux.
+    Directional { direction: Vec3 },
+}
+
+/// One light ready to be sampled.
+#[derive(Clone, Debug)]
+pub(crate) struct Emitter {
+    /// Name of the light.
+    pub name: String,
+    /// Geometry.
+    pub shape: Shape,
+    /// Radiance, candela or lux.
+    pub strength: Vec3,
+    /// Key of the object it belongs to, for emissive surfaces.
+    pub object: Option<u32>,
+}
+
+/// A sample of incoming light at a point, before visibility.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LightSample {
+    /// Unit direction towards the light.
+    pub direction: Vec3,
+    /// Metres; infinite for parallel light.
+    pub distance: f32,
+    /// Contribution to irradiance / π at unit strength, divided by the density of the sample.
+    pub weight: f32,
+}
+
+/// All lights of a world.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Emitters {
+    /// Everything but the environment.
+    pub list: Vec<Emitter>,
+    /// By power, for paths that follow one light at a time.
+    pub choice: Option<Discrete>,
+    /// Constant radiance from outside.
+    pub environment: Vec3,
+}
+
+impl Emitters {
+    /// Resolves lights; `triangles` gives the emissive triangles of (object name, material) and the object's key.
+    pub(crate) fn new(
+        lights: &[Light],
+        origin: glam::DVec3,
+        scene_radius: f32,
+        triangles: impl Fn(&str, u32) -> Option<(u32, Vec<EmissiveTriangle>, bool)>,
+    ) -> Emitters {
+        let mut environment = Vec3::ZERO;
+        let mut list = Vec::new();
+        for light in lights {
+            let strength = light.strength();
+            let (shape, object) = match &light.kind {
+                LightKind::Environment => {
+                    environment += strength;
+                    continue;
+                }
+                LightKind::Emissive { object, material } => match triangles(object, *material) {
+                    Some((key, triangles, double_sided)) if !triangles.is_empty() => {
+                        (surface(triangles, double_sided), Some(key))
+                    }
+                    _ => continue,
+                },
+                LightKind::Point { position, range } => {
+                    (Shape::Point { position: (*position - origin).as_vec3(), spot: None, range: *range }, None)
+                }
+                LightKind::Spot { position, direction, inner_cone_angle, outer_cone_angle, range } => {
+                    let spot = Some((*direction, inner_cone_angle.cos(), outer_cone_angle.cos()));
+                    (Shape::Point { position: (*position - origin).as_vec3(), spot, range: *range }, None)
+                }
+                LightKind::Directional { direction } => (Shape::Directional { direction: *direction }, None),
+            };
+            list.push(Emitter { name: light.name.clone(), shape, strength, object });
+        }
+        let choice = Discrete::new(list.iter().map(|e| f64::from(e.power(scene_radius))));
+        Emitters { list, choice, environment }
+    }
+}
+
+fn surface(triangles: Vec<EmissiveTriangle>, double_sided: bool) -> Shape {
+    let choice = Discrete::new(triangles.iter().map(|t| f64::from(t.area))).unwrap_or_default();
+    let corners = || triangles.iter().flat_map(|t| t.corners);
+    let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    corners().for_each(|c| {
+        low = low.min(c);
+        high = high.max(c);
+    });
+    let center = (low + high) * 0.5;
+    let radius = corners().map(|c| c.distance(center)).fold(0.0, f32::max) * 1.0001;
+    Shape::Surface { triangles, choice, double_sided, center, radius }
+}
+
+/// The specification's window: the inverse square law, ended smoothly at `range`.
+fn attenuation(distance2: f32, range: Option<f32>) -> f32 {
+    let window = range.map_or(1.0, |r| (1.0 - (distance2 / (r * r)).powi(2)).clamp(0.0, 1.0));
+    window / distance2
+}
+
+impl Emitter {
+    /// Flux at unit-free scale, for choosing between lights only.
+    fn power(&self, scene_radius: f32) -> f32 {
+        use std::f32::consts::PI;
+        let mean = self.strength.element_sum() / 3.0;
+        mean * match &self.shape {
+            Shape::Surface { triangles, double_sided, .. } => {
+                triangles.iter().map(|t| t.area).sum::<f32>() * PI * if *double_sided { 2.0 } else { 1.0 }
+            }
+            Shape::Point { .. } => 4.0 * PI,
+            Shape::Directional { .. } => PI * scene_radius * scene_radius,
+        }
+    }
+
+    /// Whether its light at a point is known from one ray.
+    pub(crate) fn is_delta(&self) -> bool {
+        !matches!(self.shape, Shape::Surface { .. })
+    }
+
+    /// A sphere that holds all segments' far ends; none for parallel light.
+    pub(crate) fn sphere(&self) -> Option<(Vec3, f32)> {
+        match &self.shape {
+            Shape::Surface { center, radius, .. } => Some((*center, *radius)),
+            Shape::Point { position, .. } => Some((*position, 0.0)),
+            Shape::Directional { .. } => None,
+        }
+    }
+
+    /// Samples the light's contribution to irradiance / π at `point` with unit normal `n`, at unit strength. None
+    /// where the sample brings no light.
+    #[inline]
+    pub(crate) fn sample(&self, point: Vec3, n: Vec3, u: [f32; 2]) -> Option<LightSample> {
+        match &self.shape {
+            Shape::Surface { triangles, choice, double_sided, .. } => {
+                sample_surface(triangles, choice, *double_sided, point, n, u)
+            }
+            Shape::Point { position, spot, range } => {
+                let w = *position - point;
+                let distance2 = w.length_squared();
+                let distance = distance2.sqrt();
+                let direction = w / distance;
+                let cos = n.dot(direction);
+                if cos <= 0.0 || distance <= 0.0 {
+                    return None;
+                }
+                let cone = spot.map_or(1.0, |(axis, inner, outer)| {
+                    let t = ((-direction.dot(axis) - outer) / (inner - outer).max(1e-4)).clamp(0.0, 1.0);
+                    t * t
+                });
+                let weight = cos * cone * attenuation(distance2, *range) * FRAC_1_PI;
+                (weight > 0.0).then_some(LightSample { direction, distance, weight })
+            }
+            Shape::Directional { direction } => {
+                let cos = -n.dot(*direction);
+                (cos > 0.0).then_some(LightSample {
+                    direction: -*direction,
+                    distance: f32::INFINITY,
+                    weight: cos * FRAC_1_PI,
+                })
+            }
+        }
+    }
+}
+
+/// Triangles by area; the point on it by area from afar and by solid angle from near, where 1/r² would explode.
+#[inline]
+fn sample_surface(
+    triangles: &[EmissiveTriangle],
+    choice: &Discrete,
+    double_sided: bool,
+    point: Vec3,
+    n: Vec3,
+    [u, v]: [f32; 2],
+) -> Option<LightSample> {
+    let (index, u) = if triangles.len() == 1 { (0, u) } else { choice.sample(u) };
+    let triangle = &triangles[index];
+    let probability = choice.pdf(index);
+    let [a, b, c] = triangle.corners;
+    let height = (point - a).dot(triangle.normal);
+    if height <= 0.0 && !double_sided || height == 0.0 {
+        return None;
+    }
+    let to_center = (a + b + c) * (1.0 / 3.0) - point;
+    if to_center.length_squared() < 8.0 * triangle.area {
+        let spherical = SphericalTriangle::new(point, triangle.corners)?;
+        let direction = spherical.sample([u, v]);
+        let cos = n.dot(direction);
+        let slope = -direction.dot(triangle.normal);
+        if cos <= 0.0 || slope.abs() < 1e-7 {
+            return None;
+        }
+        let distance = height / slope;
+        let weight = cos * FRAC_1_PI / (probability * spherical.pdf());
+        return (distance > 0.0).then_some(LightSample { direction, distance, weight });
+    }
+    let (b1, b2) = uniform_barycentrics([u, v]);
+    let w = a + (b - a) * b1 + (c - a) * b2 - point;
+    let distance2 = w.length_squared();
+    let distance = distance2.sqrt();
+    let direction = w / distance;
+    let cos = n.dot(direction);
+    let cos_light = direction.dot(triangle.normal).abs();
+    (cos > 0.0).then_some(LightSample {
+        direction,
+        distance,
+        weight: cos * cos_light * triangle.area / (distance2 * probability) * FRAC_1_PI,
+    })
+}
+
+impl Emitter {
+    /// Whether another emitter shines from the same place. Triangles are compared by the caller.
+    pub(crate) fn same_shape(&self, other: &Emitter) -> bool {
+        match (&self.shape, &other.shape) {
+            (Shape::Surface { double_sided: a, .. }, Shape::Surface { double_sided: b, .. }) => {
+                a == b && self.object == other.object
+            }
+            (
+                Shape::Point { position: a, spot: s, range: r },
+                Shape::Point { position: b, spot: t, range: q },
+            ) => a == b && s == t && r == q,
+            (Shape::Directional { direction: a }, Shape::Directional { direction: b }) => a == b,
+            _ => false,
+        }
+    }
+}

@@ -1,0 +1,169 @@
+//! Flat arrays over all elements and triangles of a world, indexed by slot.
+//!
+//! Every object owns one range of element slots and one of triangle slots. Slots are stable: a removed object leaves
+//! a hole, which a later one may fill.
+
+use std::ops::Range;
+
+use glam::Vec3;
+
+use crate::surface::Surface;
+
+/// Marks a slot without an object.
+pub const NO_OBJECT: u32 = u32::MAX;
+
+/// Marks a triangle slot without a triangle.
+pub(crate) const NO_PART: u32 = u32::MAX;
+
+/// Elements and triangles of all objects.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Geometry {
+    /// Sample points, scene space. Per element slot.
+    pub positions: Vec<Vec3>,
+    /// Unit normals.
+    pub normals: Vec<Vec3>,
+    /// m²; zero in holes.
+    pub areas: Vec<f32>,
+    /// Key of the owning object, or [`NO_OBJECT`].
+    pub owners: Vec<u32>,
+    /// Per triangle slot.
+    pub triangles: Vec<TriangleRecord>,
+}
+
+/// What a ray needs to know of the triangle it hit, beside its corners (which the tree holds).
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(16))]
+pub(crate) struct TriangleRecord {
+    /// Element slots of the corners, front side.
+    pub elements: [u32; 3],
+    /// Index into [`super::World::parts`], or [`NO_PART`].
+    pub part: u32,
+}
+
+/// The triangles of one object that share a material.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Part {
+    /// Diffuse albedo.
+    pub albedo: Vec3,
+    /// Key of the object.
+    pub object: u32,
+    /// Both sides reflect.
+    pub double_sided: bool,
+    /// The object bounds a volume that light does not enter: a ray that meets its back starts inside it.
+    pub solid: bool,
+    /// What to add to front slots to get those of the back; 0: the back has no elements.
+    pub back_offset: u32,
+}
+
+/// Where an object's elements and triangles lie.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Placement {
+    /// Element slots: the front's, then the back's where it has any.
+    pub elements: Range<u32>,
+    /// Triangle slots.
+    pub triangles: Range<u32>,
+}
+
+/// Finds the first run of `count` free slots, or the end.
+pub(crate) fn find_hole(is_free: impl Fn(usize) -> bool, len: usize, count: usize) -> usize {
+    let (mut start, mut run) = (len, 0);
+    for i in 0..len {
+        if is_free(i) {
+            if run == 0 {
+                start = i;
+            }
+            run += 1;
+            if run == count {
+                return start;
+            }
+        } else {
+            run = 0;
+            start = len;
+        }
+    }
+    // A hole at the very end may grow.
+    start
+}
+
+impl Geometry {
+    /// Puts an object's surface into free slots. `parts_first` is the index of the part of its material 0.
+    pub(crate) fn place(&mut self, surface: &Surface, key: u32, with_back: bool, parts_first: u32) -> Placement {
+        let front = surface.positions.len();
+        let count = if with_back { 2 * front } else { front };
+        let first = find_hole(|i| self.owners[i] == NO_OBJECT, self.owners.len(), count);
+        let first_triangle =
+            find_hole(|i| self.triangles[i].part == NO_PART, self.triangles.len(), surface.triangles.len());
+        let end = first + count;
+        if end > self.owners.len() {
+            self.positions.resize(end, Vec3::ZERO);
+            self.normals.resize(end, Vec3::ZERO);
+            self.areas.resize(end, 0.0);
+            self.owners.resize(end, NO_OBJECT);
+        }
+        self.owners[first..end].fill(key);
+        self.write_elements(surface, first, with_back);
+        let triangles_end = first_triangle + surface.triangles.len();
+        if triangles_end > self.triangles.len() {
+            self.triangles.resize(triangles_end, TriangleRecord { elements: [0; 3], part: NO_PART });
+        }
+        for (slot, (corners, material)) in self.triangles[first_triangle..triangles_end]
+            .iter_mut()
+            .zip(surface.triangles.iter().zip(&surface.triangle_materials))
+        {
+            *slot = TriangleRecord { elements: corners.map(|c| c + first as u32), part: parts_first + material };
+        }
+        Placement { elements: first as u32..end as u32, triangles: first_triangle as u32..triangles_end as u32 }
+    }
+
+    /// Positions, normals and areas of an object whose slots are there already.
+    pub(crate) fn write_elements(&mut self, surface: &Surface, first: usize, with_back: bool) {
+        let n = surface.positions.len();
+        self.positions[first..first + n].copy_from_slice(&surface.positions);
+        self.normals[first..first + n].copy_from_slice(&surface.normals);
+        self.areas[first..first + n].copy_from_slice(&surface.areas);
+        if with_back {
+            self.positions[first + n..first + 2 * n].copy_from_slice(&surface.positions);
+            self.areas[first + n..first + 2 * n].copy_from_slice(&surface.areas);
+            for (back, front) in self.normals[first + n..first + 2 * n].iter_mut().zip(&surface.normals) {
+                *back = -*front;
+            }
+        }
+    }
+
+    /// Frees an object's slots.
+    pub(crate) fn clear(&mut self, placement: &Placement) {
+        let range = placement.elements.start as usize..placement.elements.end as usize;
+        self.positions[range.clone()].fill(Vec3::ZERO);
+        self.normals[range.clone()].fill(Vec3::ZERO);
+        self.areas[range.clone()].fill(0.0);
+        self.owners[range].fill(NO_OBJECT);
+        let triangles = placement.triangles.start as usize..placement.triangles.end as usize;
+        self.triangles[triangles].fill(TriangleRecord { elements: [0; 3], part: NO_PART });
+    }
+
+    /// Bytes held.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        self.positions.capacity() * 12
+            + self.normals.capacity() * 12
+            + self.areas.capacity() * 4
+            + self.owners.capacity() * 4
+            + self.triangles.capacity() * size_of::<TriangleRecord>()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::find_hole;
+
+    #[test]
+    fn holes_are_found_first_fit_and_at_the_end() {
+        let free = [true, false, true, true, false, true];
+        let find = |count| find_hole(|i| free[i], free.len(), count);
+        assert_eq!(find(1), 0);
+        assert_eq!(find(2), 2);
+        // Three slots fit only behind slot 5, which is free and last.
+        assert_eq!(find(3), 5);
+        assert_eq!(find_hole(|_| false, 4, 1), 4);
+        assert_eq!(find_hole(|_| true, 0, 3), 0);
+    }
+}

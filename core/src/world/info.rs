@@ -1,0 +1,88 @@
+//! What a client may ask of a world.
+
+use glam::{DVec3, Vec3};
+
+use super::{NO_OBJECT, World};
+use crate::scene::{Light, LightKind};
+
+/// An object as clients see it.
+#[derive(Clone, Debug)]
+pub struct ObjectInfo<'a> {
+    /// Position in the list of objects: what [`World::object_of`] answers.
+    pub index: u32,
+    /// Unique name.
+    pub name: &'a str,
+    /// First element slot.
+    pub first_element: u32,
+    /// Element slots; those of the back, where it has any, are the second half.
+    pub element_count: u32,
+    /// The second half of the slots belongs to the back.
+    pub with_back: bool,
+    /// Subdivided triangles.
+    pub triangle_count: u32,
+    /// World-space bounds, metres.
+    pub bounds: (DVec3, DVec3),
+    /// Area-weighted mean of the albedo.
+    pub albedo: Vec3,
+}
+
+/// A light as clients see it.
+#[derive(Clone, Debug)]
+pub struct LightInfo<'a> {
+    /// The light itself.
+    pub light: &'a Light,
+    /// `emissive`, `point`, `spot`, `directional` or `environment`.
+    pub kind: &'static str,
+}
+
+impl World {
+    /// All objects, in order.
+    pub fn objects(&self) -> impl Iterator<Item = ObjectInfo<'_>> {
+        self.placed.iter().zip(&self.scene.objects).enumerate().map(|(index, (placed, object))| {
+            let surface = &placed.surface;
+            let (low, high) = surface.bounds();
+            let (mut albedo, mut area) = (Vec3::ZERO, 0.0);
+            for (t, m) in surface.triangles.iter().zip(&surface.triangle_materials) {
+                let [a, b, c] = t.map(|i| surface.vertices[i as usize]);
+                let weight = (b - a).cross(c - a).length();
+                albedo += self.parts[(placed.parts_first + m) as usize].albedo * weight;
+                area += weight;
+            }
+            ObjectInfo {
+                index: index as u32,
+                name: &object.name,
+                first_element: placed.placement.elements.start,
+                element_count: placed.placement.elements.len() as u32,
+                with_back: placed.with_back,
+                triangle_count: placed.placement.triangles.len() as u32,
+                bounds: (low.as_dvec3() + self.scene.origin, high.as_dvec3() + self.scene.origin),
+                albedo: if area > 0.0 { albedo / area } else { Vec3::ZERO },
+            }
+        })
+    }
+
+    /// All lights, in order.
+    pub fn lights(&self) -> impl Iterator<Item = LightInfo<'_>> {
+        self.scene.lights.iter().map(|light| LightInfo { light, kind: kind_name(&light.kind) })
+    }
+
+    /// Position in [`World::objects`] of the object of each slot; [`NO_OBJECT`] in holes.
+    pub fn object_indices(&self) -> Vec<u32> {
+        let mut indices = vec![NO_OBJECT; self.slots()];
+        for (index, placed) in self.placed.iter().enumerate() {
+            let range = placed.placement.elements.start as usize..placed.placement.elements.end as usize;
+            indices[range].fill(index as u32);
+        }
+        indices
+    }
+}
+
+fn kind_name(kind: &LightKind) -> &'static str {
+    match kind {
+        LightKind::Emissive { .. } => "emissive",
+        LightKind::Point { .. } => "point",
+        LightKind::Spot { .. } => "spot",
+        LightKind::Directional { .. } => "directional",
+        LightKind::Environment => "environment",
+    }
+}

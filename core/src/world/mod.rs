@@ -1,0 +1,189 @@
+//! A scene made ready for transport: elements, trees, emitters. Immutable; an edit makes the next one
+//! ([`World::apply`]) and shares with it all that did not change.
+
+mod apply;
+mod build;
+mod coarse;
+mod emitters;
+mod geometry;
+mod info;
+mod probe;
+mod trees;
+mod validity;
+
+pub use apply::Transition;
+pub use geometry::NO_OBJECT;
+pub use info::{LightInfo, ObjectInfo};
+pub use trees::Trees;
+
+pub(crate) use coarse::Coarse;
+pub(crate) use emitters::{Emitter, Emitters};
+pub(crate) use geometry::{Geometry, Part, Placement};
+pub(crate) use validity::Validity;
+
+use std::sync::Arc;
+
+use glam::Vec3;
+
+use crate::scene::Scene;
+use crate::surface::{Surface, SurfaceError};
+
+/// Limits and resolution of a world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WorldOptions {
+    /// Largest distance between neighbouring elements, metres; chosen from the scene's size where absent.
+    pub spacing: Option<f32>,
+    /// More element slots than this are refused.
+    pub max_elements: usize,
+    /// More subdivided triangles than this are refused.
+    pub max_triangles: usize,
+}
+
+impl Default for WorldOptions {
+    fn default() -> Self {
+        WorldOptions { spacing: None, max_elements: 20_000_000, max_triangles: 40_000_000 }
+    }
+}
+
+/// Why a scene cannot be made ready.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum WorldError {
+    /// `spacing` is not a finite positive number.
+    #[error("spacing: must be a finite number above 0, not {0}")]
+    Spacing(f32),
+    /// An object cannot be subdivided.
+    #[error("object {object:?}: {source}")]
+    Surface {
+        /// Name of the object.
+        object: String,
+        /// What stands in the way.
+        source: SurfaceError,
+    },
+    /// Too many elements or triangles at this spacing.
+    #[error("the scene has more than {limit} {what} at a spacing of {spacing} m")]
+    TooLarge {
+        /// `elements` or `triangles`.
+        what: &'static str,
+        /// The limit that was passed.
+        limit: usize,
+        /// Spacing in force.
+        spacing: f32,
+    },
+}
+
+/// One object, subdivided and placed.
+#[derive(Debug)]
+pub(crate) struct Placed {
+    /// Never used again within a scene's life.
+    pub key: u32,
+    /// Subdivided mesh in scene space.
+    pub surface: Arc<Surface>,
+    /// Subset for smooth light, over the front's elements.
+    pub coarse: Arc<Coarse>,
+    /// Slots.
+    pub placement: Placement,
+    /// The back has elements of its own.
+    pub with_back: bool,
+    /// Index of the part of material 0.
+    pub parts_first: u32,
+}
+
+/// Immutable snapshot of a scene with its elements and trees. Cheap to clone.
+#[derive(Clone, Debug)]
+pub struct World {
+    /// What was loaded and edited.
+    pub scene: Scene,
+    pub(crate) options: WorldOptions,
+    pub(crate) spacing: f32,
+    /// In the order of `scene.objects`.
+    pub(crate) placed: Vec<Arc<Placed>>,
+    pub(crate) geometry: Arc<Geometry>,
+    pub(crate) parts: Arc<Vec<Part>>,
+    pub(crate) trees: Trees,
+    pub(crate) emitters: Arc<Emitters>,
+    pub(crate) validity: Arc<Validity>,
+    /// How far rays start off a surface, metres.
+    pub(crate) epsilon: f32,
+    pub(crate) next_key: u32,
+}
+
+impl World {
+    /// Subdivides a scene and builds its trees on the current rayon pool.
+    pub fn new(scene: Scene, options: &WorldOptions) -> Result<World, WorldError> {
+        build::build(scene, options)
+    }
+
+    /// Largest distance between neighbouring elements, metres.
+    pub fn spacing(&self) -> f32 {
+        self.spacing
+    }
+
+    /// Length of the light map, holes of removed objects included.
+    pub fn slots(&self) -> usize {
+        self.geometry.owners.len()
+    }
+
+    /// Slots that hold an element.
+    pub fn element_count(&self) -> usize {
+        self.placed.iter().map(|p| p.placement.elements.len()).sum()
+    }
+
+    /// Subdivided triangles.
+    pub fn triangle_count(&self) -> usize {
+        self.placed.iter().map(|p| p.placement.triangles.len()).sum()
+    }
+
+    /// Sample points per slot, scene space: add [`Scene::origin`] for world space.
+    pub fn positions(&self) -> &[Vec3] {
+        &self.geometry.positions
+    }
+
+    /// Unit normals per slot.
+    pub fn normals(&self) -> &[Vec3] {
+        &self.geometry.normals
+    }
+
+    /// m² per slot; 0 in holes.
+    pub fn areas(&self) -> &[f32] {
+        &self.geometry.areas
+    }
+
+    /// Elements inside solids: their values are copied from neighbours, not computed.
+    pub fn is_valid(&self, slot: usize) -> bool {
+        self.validity.is_valid(slot)
+    }
+
+    /// A scene with a big tree of its own whose small trees make rays slow.
+    pub fn needs_rebuild(&self) -> bool {
+        !self.trees.small.is_empty()
+    }
+
+    /// A fresh big tree over everything. Runs for a second in large scenes: do it in the background.
+    pub fn rebuilt_trees(&self) -> Trees {
+        build::big_tree(&self.geometry, &self.placed, self.trees.generation)
+    }
+
+    /// This world with trees of [`World::rebuilt_trees`]; none where the geometry has changed since.
+    pub fn with_trees(&self, trees: Trees) -> Option<World> {
+        (trees.generation == self.trees.generation).then(|| World { trees, ..self.clone() })
+    }
+
+    /// Bytes held by elements, triangles and trees; what is shared with other versions counts here too.
+    pub fn memory_bytes(&self) -> usize {
+        let objects: usize = self.placed.iter().map(|p| p.surface.memory_bytes() + p.coarse.memory_bytes()).sum();
+        self.geometry.memory_bytes() + self.trees.memory_bytes() + objects
+    }
+
+    /// Slots whose value is computed, in spatial order within objects.
+    pub(crate) fn computed_slots(&self) -> Vec<u32> {
+        let live = self.placed.iter().flat_map(|p| p.placement.elements.clone());
+        live.filter(|&i| self.geometry.areas[i as usize] > 0.0 && self.validity.is_valid(i as usize)).collect()
+    }
+
+    /// Where rays of an element start.
+    #[inline]
+    pub(crate) fn ray_origin(&self, slot: usize) -> (Vec3, Vec3) {
+        let n = self.geometry.normals[slot];
+        (self.geometry.positions[slot] + n * self.epsilon, n)
+    }
+}

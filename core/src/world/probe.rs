@@ -1,0 +1,150 @@
+//! Cheap questions to the rays about objects: is the back of a surface ever seen, does an object bound a volume that
+//! light does not enter?
+
+use rayon::prelude::*;
+
+use super::{Emitter, Part, Placed, World};
+use crate::bvh::Ray;
+use crate::random::{Pcg32, subseed};
+use crate::sampling::cosine_hemisphere;
+
+/// Rays over a whole scene.
+const RAYS: usize = 600_000;
+
+/// A back counts as seen from this part of all probe rays on.
+const SEEN: f64 = 2e-5;
+
+/// Per object: whether a double-sided surface is seen from its back by the scene's elements.
+pub(super) fn backs_seen(world: &World) -> Vec<bool> {
+    let slots = world.slots();
+    let candidates: Vec<bool> = world
+        .placed
+        .iter()
+        .zip(&world.scene.objects)
+        .map(|(p, o)| !p.surface.closed && o.materials.iter().any(|m| m.double_sided))
+        .collect();
+    if slots == 0 || !candidates.iter().any(|c| *c) {
+        return vec![false; candidates.len()];
+    }
+    let per_element = (RAYS / slots).clamp(1, 32);
+    let step = (slots * per_element / RAYS).max(1);
+    let hits: Vec<Vec<u32>> = (0..slots.div_ceil(step * 1024))
+        .into_par_iter()
+        .map(|chunk| {
+            let mut found = Vec::new();
+            for k in 0..1024 {
+                let slot = (chunk * 1024 + k) * step;
+                if slot < slots {
+                    found.extend((0..per_element).filter_map(|s| back_hit(world, slot, s as u64)));
+                }
+            }
+            found
+        })
+        .collect();
+    let mut counts = vec![0usize; candidates.len()];
+    // Keys are indices here: nothing has been edited yet.
+    hits.into_iter().flatten().for_each(|key| counts[key as usize] += 1);
+    let total = slots.div_ceil(step) * per_element;
+    let seen = |count: usize| count as f64 > (SEEN * total as f64).max(2.0);
+    counts.iter().zip(candidates).map(|(&count, candidate)| candidate && seen(count)).collect()
+}
+
+/// Key of the object whose reflecting back a probe ray meets.
+fn back_hit(world: &World, slot: usize, sample: u64) -> Option<u32> {
+    let (origin, n) = world.ray_origin(slot);
+    let mut rng = Pcg32::new(subseed(0xbac5, sample), slot as u64);
+    let direction = cosine_hemisphere(n, rng.next_2d());
+    let hit = world.trees.closest_hit(&Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY })?;
+    let part = &world.parts[world.geometry.triangles[hit.triangle as usize].part as usize];
+    (part.double_sided && hit.normal.dot(direction) > 0.0).then_some(part.object)
+}
+
+impl World {
+    /// Marks the parts of closed objects that hold no light and do not enclose the rest of the scene.
+    pub(super) fn mark_solids(&mut self) {
+        let solid: Vec<bool> = self.placed.iter().map(|p| self.is_solid(p)).collect();
+        let mut parts: Vec<Part> = (*self.parts).clone();
+        for (placed, (object, solid)) in self.placed.iter().zip(self.scene.objects.iter().zip(solid)) {
+            let first = placed.parts_first as usize;
+            parts[first..first + object.materials.len()].iter_mut().for_each(|p| p.solid = solid);
+        }
+        self.parts = std::sync::Arc::new(parts);
+    }
+
+    pub(super) fn is_solid(&self, placed: &Placed) -> bool {
+        if !placed.surface.closed || placed.surface.volume <= 0.0 {
+            return false;
+        }
+        let bounds = placed.surface.bounds();
+        let inside = |p: glam::Vec3| p.cmpge(bounds.0).all() && p.cmple(bounds.1).all();
+        let own = placed.placement.elements.clone();
+        let others = self.slots().saturating_sub(own.len());
+        let enclosed = if others == 0 {
+            0
+        } else {
+            let geometry = &self.geometry;
+            (0..self.slots())
+                .step_by((self.slots() / 2048).max(1))
+                .filter(|&i| !own.contains(&(i as u32)) && geometry.areas[i] > 0.0 && inside(geometry.positions[i]))
+                .count()
+                * (self.slots() / 2048).max(1)
+        };
+        if 2 * enclosed > others {
+            return false;
+        }
+        // A lamp inside: its light has to come out through backs that reflect.
+        let lamps = self.emitters.list.iter().filter(|e| e.object != Some(placed.key));
+        !lamps.filter_map(Emitter::sphere).any(|(c, _)| inside(c) && contains(placed, c))
+    }
+}
+
+
+/// Whether a closed surface contains a point: parity of the crossings of one skew ray.
+fn contains(placed: &Placed, point: glam::Vec3) -> bool {
+    let direction = glam::DVec3::new(0.577_215_66, 0.693_147_18, 0.431_237_9);
+    let origin = point.as_dvec3();
+    let surface = &placed.surface;
+    let crossings = surface.triangles.iter().filter(|t| {
+        let [a, b, c] = t.map(|i| surface.vertices[i as usize].as_dvec3() - origin);
+        let (u, v, w) =
+            (direction.dot(c.cross(b)), direction.dot(a.cross(c)), direction.dot(b.cross(a)));
+        let same = (u >= 0.0 && v >= 0.0 && w >= 0.0) || (u <= 0.0 && v <= 0.0 && w <= 0.0);
+        let n = (b - a).cross(c - a);
+        let slope = direction.dot(n);
+        same && slope != 0.0 && a.dot(n) / slope > 0.0
+    });
+    crossings.count() % 2 == 1
+}
+
+/// Whether a newly placed double-sided, open object shows its back to the elements of the scene.
+pub(super) fn back_seen(world: &World, index: usize) -> bool {
+    const PAIRS: u32 = 4096;
+    let (placed, object) = (&world.placed[index], &world.scene.objects[index]);
+    let surface = &placed.surface;
+    if surface.closed || !object.materials.iter().any(|m| m.double_sided) || surface.triangles.is_empty() {
+        return false;
+    }
+    let mut rng = Pcg32::new(0x5ee, u64::from(placed.key));
+    let mut pick = |n: usize| ((u64::from(rng.next_u32()) * n as u64) >> 32) as usize;
+    let (mut seen, mut backs) = (0, 0);
+    for _ in 0..PAIRS {
+        let slot = pick(world.slots());
+        let target = surface.positions[pick(surface.positions.len())];
+        if world.geometry.areas[slot] <= 0.0 {
+            continue;
+        }
+        let (origin, n) = world.ray_origin(slot);
+        let direction = target - origin;
+        if n.dot(direction) <= 0.0 {
+            continue;
+        }
+        let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
+        let Some(hit) = world.trees.closest_hit(&ray) else { continue };
+        let part = &world.parts[world.geometry.triangles[hit.triangle as usize].part as usize];
+        if part.object == placed.key {
+            seen += 1;
+            backs += u32::from(hit.normal.dot(direction) > 0.0);
+        }
+    }
+    backs > 4 && f64::from(backs) > 0.01 * f64::from(seen)
+}

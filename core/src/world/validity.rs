@@ -1,0 +1,156 @@
+//! Elements inside solids: recognised by the backs that their rays meet, filled from valid neighbours.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::{Placed, World};
+use crate::bvh::Ray;
+use crate::random::Pcg32;
+use crate::sampling::cosine_hemisphere;
+
+/// First a few rays; elements that meet a back are asked again with all.
+const FIRST_RAYS: u32 = 6;
+const ALL_RAYS: u32 = 32;
+
+/// Which elements cannot be computed, and where their values come from.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Validity {
+    /// Invalid slots, ascending.
+    invalid: Vec<u32>,
+    /// Slots to fill, nearest to valid ones first; each is the mean of sources filled before it.
+    fills: Vec<Fill>,
+}
+
+#[derive(Clone, Debug)]
+struct Fill {
+    target: u32,
+    sources: Vec<u32>,
+}
+
+impl Validity {
+    /// Tests all elements of a world.
+    pub(super) fn of_all(world: &World) -> Validity {
+        let live: Vec<Range<u32>> = world.placed.iter().map(|p| p.placement.elements.clone()).collect();
+        let invalid = live.into_par_iter().flat_map(|r| r.into_par_iter().filter(|&i| is_inside(world, i))).collect();
+        Validity::from_invalid(world, invalid)
+    }
+
+    /// Tests the elements of `ranges` and those within `bounds` anew, keeps the rest of `old`.
+    pub(super) fn updated(old: &Validity, world: &World, ranges: &[Range<u32>], bounds: &[(Vec3, Vec3)]) -> Validity {
+        let affected = |i: u32| {
+            ranges.iter().any(|r| r.contains(&i))
+                || bounds.iter().any(|(low, high)| {
+                    let p = world.geometry.positions[i as usize];
+                    p.cmpge(*low).all() && p.cmple(*high).all()
+                })
+        };
+        let live: Vec<Range<u32>> = world.placed.iter().map(|p| p.placement.elements.clone()).collect();
+        let invalid = live
+            .into_par_iter()
+            .flat_map(|r| {
+                r.into_par_iter().filter(|&i| if affected(i) { is_inside(world, i) } else { !old.is_valid(i as usize) })
+            })
+            .collect();
+        Validity::from_invalid(world, invalid)
+    }
+
+    fn from_invalid(world: &World, mut invalid: Vec<u32>) -> Validity {
+        invalid.sort_unstable();
+        let set: BTreeSet<u32> = invalid.iter().copied().collect();
+        let mut fills = Vec::new();
+        for placed in &world.placed {
+            let range = placed.placement.elements.clone();
+            if set.range(range).next().is_some() {
+                fill_object(placed, &set, &mut fills);
+            }
+        }
+        Validity { invalid, fills }
+    }
+
+    /// Whether a slot's value is computed.
+    #[inline]
+    pub(crate) fn is_valid(&self, slot: usize) -> bool {
+        self.invalid.is_empty() || self.invalid.binary_search(&(slot as u32)).is_err()
+    }
+
+    /// Gives invalid slots the values of their neighbours.
+    pub(crate) fn fill(&self, values: &mut [Vec3]) {
+        for fill in &self.fills {
+            let sum: Vec3 = fill.sources.iter().map(|&s| values[s as usize]).sum();
+            values[fill.target as usize] = sum / fill.sources.len() as f32;
+        }
+    }
+
+    /// The same for scalars.
+    pub(crate) fn fill_scalars(&self, values: &mut [f32]) {
+        for fill in &self.fills {
+            let sum: f32 = fill.sources.iter().map(|&s| values[s as usize]).sum();
+            values[fill.target as usize] = sum / fill.sources.len() as f32;
+        }
+    }
+}
+
+/// Whether most rays of an element meet a back that no light comes from.
+fn is_inside(world: &World, slot: u32) -> bool {
+    if world.geometry.areas[slot as usize] <= 0.0 {
+        return false;
+    }
+    let (origin, n) = world.ray_origin(slot as usize);
+    let mut rng = Pcg32::new(0x1551, u64::from(slot));
+    let mut backs = 0;
+    for k in 0..ALL_RAYS {
+        if k == FIRST_RAYS && backs == 0 {
+            return false;
+        }
+        let direction = cosine_hemisphere(n, rng.next_2d());
+        let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
+        if let Some(hit) = world.trees.closest_hit(&ray) {
+            let part = &world.parts[world.geometry.triangles[hit.triangle as usize].part as usize];
+            let back = hit.normal.dot(direction) > 0.0;
+            backs += u32::from(back && (part.solid || !part.double_sided));
+        }
+    }
+    2 * backs > ALL_RAYS
+}
+
+/// Ring by ring from the valid elements of one object, along its triangles.
+fn fill_object(placed: &Placed, invalid: &BTreeSet<u32>, fills: &mut Vec<Fill>) {
+    let n = placed.surface.positions.len() as u32;
+    let first = placed.placement.elements.start;
+    let sides = if placed.with_back { 2 } else { 1 };
+    for side in 0..sides {
+        let slot = |i: u32| first + side * n + i;
+        let mut neighbours: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+        for t in &placed.surface.triangles {
+            for k in 0..3 {
+                let me = slot(t[k]);
+                if invalid.contains(&me) {
+                    neighbours.entry(me).or_default().extend([slot(t[(k + 1) % 3]), slot(t[(k + 2) % 3])]);
+                }
+            }
+        }
+        let mut open: BTreeSet<u32> = neighbours.keys().copied().collect();
+        loop {
+            let ring: Vec<Fill> = open
+                .iter()
+                .filter_map(|&target| {
+                    let known = |s: &u32| !open.contains(s);
+                    let mut sources: Vec<u32> = neighbours[&target].iter().copied().filter(known).collect();
+                    sources.sort_unstable();
+                    sources.dedup();
+                    (!sources.is_empty()).then_some(Fill { target, sources })
+                })
+                .collect();
+            if ring.is_empty() {
+                break;
+            }
+            ring.iter().for_each(|f| {
+                open.remove(&f.target);
+            });
+            fills.extend(ring);
+        }
+    }
+}

@@ -1,0 +1,188 @@
+//! What changed since a version, once or for as long as the client listens.
+
+use std::collections::VecDeque;
+use std::io;
+use std::sync::Arc;
+
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::{HeaderMap, HeaderName, header};
+use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
+use futures_util::stream;
+use rebake_core::delta;
+use serde::{Deserialize, Serialize};
+use tokio::sync::{OwnedSemaphorePermit, watch};
+use utoipa::{IntoParams, ToSchema};
+
+use super::coding::Coder;
+use super::elements::VERSION;
+use super::extract::{ApiPath, ApiQuery, Coding};
+use super::problem::{ApiResult, Kind, Problem};
+use super::{Shared, etag, find_scene};
+use crate::state::{App, Phase};
+use crate::store::scenes::SceneEntry;
+use crate::store::versions::Published;
+
+/// How values travel.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Precision {
+    /// Three `f32` per value: bit for bit.
+    #[default]
+    Full,
+    /// Three `f16` per value: half the size.
+    Half,
+}
+
+/// What to fetch.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct DeltaQuery {
+    /// The version that the client has; 0 for nothing.
+    #[param(example = 0)]
+    since: u64,
+    /// Keep the connection open and send every new version.
+    follow: Option<bool>,
+    /// How values travel; `full` where absent.
+    #[param(inline)]
+    precision: Option<Precision>,
+}
+
+/// Frames from version `since` to now. With `follow=true` the connection stays open and frames arrive as versions are
+/// published; a client that is slower than that skips versions, never changes. One that reconnects with the version of
+/// the last frame it has applied with flag bit 0 loses nothing.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene}/lightmap/deltas", tag = "light map", operation_id = "get_deltas",
+    params(("scene" = String, Path, description = "The scene's id"), DeltaQuery),
+    responses((status = 200, body = Vec<u8>, content_type = "application/vnd.rebake.delta", description = "Frames; none where the client is up to date"))
+)]
+pub(super) async fn get(
+    State(app): Shared,
+    ApiPath(id): ApiPath<String>,
+    ApiQuery(query): ApiQuery<DeltaQuery>,
+    headers: HeaderMap,
+) -> ApiResult<Response> {
+    let scene = find_scene(&app, &id)?;
+    let follow = query.follow.unwrap_or(false);
+    let version = scene.published().version;
+    if query.since > version {
+        let text = format!("since: the light map is at version {version}, not {}", query.since);
+        return Err(Problem::new(Kind::VersionAhead, text));
+    }
+    let busy = |_| Problem::new(Kind::TooManyStreams, "too many streams are open").retry_after(5);
+    let permit = app.streams.clone().try_acquire_owned().map_err(busy)?;
+    let coding = Coding::accepted(&headers);
+    let half = query.precision == Some(Precision::Half);
+    let sender = Sender::new(&app, &scene, &query, follow, coding, half, permit).map_err(Problem::internal)?;
+    let frames = stream::unfold(sender, |mut sender| async move { Some((sender.next().await?, sender)) });
+    let mut response = Body::from_stream(frames).into_response();
+    let head = response.headers_mut();
+    head.extend(coding.headers());
+    head.insert(header::CONTENT_TYPE, header::HeaderValue::from_static(delta::CONTENT_TYPE));
+    head.insert(header::VARY, header::HeaderValue::from_static("accept-encoding"));
+    head.insert(HeaderName::from_static("x-accel-buffering"), header::HeaderValue::from_static("no"));
+    if !follow {
+        let value = |text: String| header::HeaderValue::from_str(&text).map_err(Problem::internal);
+        head.insert(header::ETAG, value(etag(version))?);
+        head.insert(VERSION.clone(), value(version.to_string())?);
+    }
+    Ok(response)
+}
+
+/// Sends frames to one client, at the client's pace: the next one is made when the connection asks for it, from
+/// whatever is newest then.
+struct Sender {
+    app: Arc<App>,
+    published: watch::Receiver<Arc<Published>>,
+    deleted: watch::Receiver<bool>,
+    phase: watch::Receiver<Phase>,
+    /// None at the end, or while it works on the pool.
+    coder: Option<Coder>,
+    /// The client's, once it has everything sent; none before the first frame of a client that has nothing.
+    version: Option<u64>,
+    follow: bool,
+    half: bool,
+    waiting: VecDeque<Bytes>,
+    _permit: OwnedSemaphorePermit,
+}
+
+impl Sender {
+    fn new(
+        app: &Arc<App>,
+        scene: &SceneEntry,
+        query: &DeltaQuery,
+        follow: bool,
+        coding: Coding,
+        half: bool,
+        permit: OwnedSemaphorePermit,
+    ) -> io::Result<Sender> {
+        Ok(Sender {
+            app: app.clone(),
+            published: scene.watch_published(),
+            deleted: scene.watch_deleted(),
+            phase: app.phase.subscribe(),
+            coder: Some(Coder::new(coding)?),
+            version: (query.since > 0).then_some(query.since),
+            follow,
+            half,
+            waiting: VecDeque::new(),
+            _permit: permit,
+        })
+    }
+
+    async fn next(&mut self) -> Option<io::Result<Bytes>> {
+        loop {
+            if let Some(bytes) = self.waiting.pop_front() {
+                return Some(Ok(bytes));
+            }
+            let coder = self.coder.take()?;
+            // Looked at before the map: what was published before the end is still sent.
+            let ends = !self.follow || *self.deleted.borrow() || *self.phase.borrow() == Phase::Closing;
+            let published = self.published.borrow_and_update().clone();
+            if self.version.is_none_or(|version| version < published.version) {
+                if let Err(error) = self.encode(coder, published).await {
+                    return Some(Err(error));
+                }
+                continue;
+            }
+            drop(published);
+            if ends {
+                match coder.finish() {
+                    Ok(tail) if tail.is_empty() => return None,
+                    end => return Some(end),
+                }
+            }
+            self.coder = Some(coder);
+            // An error here is the end of the sender's side; the loop sees it in `deleted` or `phase`.
+            tokio::select! {
+                changed = self.published.changed() => changed.ok()?,
+                _ = self.deleted.changed() => {}
+                _ = self.phase.changed() => {}
+            }
+        }
+    }
+
+    async fn encode(&mut self, mut coder: Coder, published: Arc<Published>) -> io::Result<()> {
+        const VALUE_BYTES: usize = 12;
+        let since = self.version.unwrap_or(0);
+        let (version, half) = (published.version, self.half);
+        let max_values = (self.app.config.limits.frame_bytes / VALUE_BYTES).max(1);
+        let encode = move || {
+            let mut frame = published.delta(since);
+            drop(published);
+            if half {
+                frame = frame.halved();
+            }
+            let pieces = frame.split(max_values).into_iter().map(|frame| coder.push(frame.encode()));
+            let pieces = pieces.collect::<io::Result<VecDeque<Bytes>>>()?;
+            io::Result::Ok((pieces, coder))
+        };
+        let (pieces, coder) = self.app.compute.run(encode).await.map_err(io::Error::other)??;
+        self.waiting = pieces;
+        self.coder = Some(coder);
+        self.version = Some(version);
+        Ok(())
+    }
+}

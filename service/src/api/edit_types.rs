@@ -1,0 +1,311 @@
+//! Edit requests as JSON.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+
+/// One edit with its budget and focus, or several as one job.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(untagged)]
+pub enum EditRequest {
+    /// Several, applied as a unit or not at all.
+    Many(EditList),
+    /// One.
+    One(SingleEdit),
+}
+
+/// Several edits, applied in order, as a unit or not at all. An empty list lights what canceled jobs left undone.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct EditList {
+    /// The edits. Where one carries a `budget` or `focus` of its own, the list's counts first, then the first edit's.
+    pub edits: Vec<SingleEdit>,
+    /// When to stop.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub budget: Option<Budget>,
+    /// What to light first.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub focus: Option<Focus>,
+}
+
+/// One edit.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct SingleEdit {
+    /// What to change.
+    #[serde(flatten)]
+    pub op: EditOp,
+    /// When to stop.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub budget: Option<Budget>,
+    /// What to light first.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub focus: Option<Focus>,
+}
+
+/// What to change.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(tag = "op", rename_all = "snake_case")]
+pub enum EditOp {
+    /// Puts an asset into the scene.
+    Insert(Insert),
+    /// Takes objects out.
+    Remove(Remove),
+    /// Gives an object a new place.
+    Move(Move),
+    /// Repaints an object.
+    Material(Repaint),
+    /// Changes colour or intensity of lights.
+    Relight(Relight),
+    /// Adds a light.
+    InsertLight(InsertLight),
+    /// Takes a light away.
+    RemoveLight(RemoveLight),
+    /// Moves or turns a light.
+    MoveLight(MoveLight),
+}
+
+/// Puts an asset into the scene as one object.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Insert {
+    /// What `POST /v1/assets` answered.
+    pub asset: String,
+    /// Name of the new object; must be free.
+    #[schema(example = "chair-2")]
+    pub name: String,
+    /// Asset space to world space, column-major, metres.
+    #[schema(example = json!([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.5, 0, 2, 1]))]
+    pub transform: [f64; 16],
+}
+
+/// Takes objects out, with the lights on them.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Remove {
+    /// Names; `*` matches any part of a name.
+    #[schema(example = json!(["sofa"]))]
+    pub objects: Vec<String>,
+}
+
+/// Gives an object a new place.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Move {
+    /// Its name.
+    #[schema(example = "sofa")]
+    pub object: String,
+    /// Object space to world space, column-major, metres; replaces the present one.
+    #[schema(example = json!([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.5, 0, 2, 1]))]
+    pub transform: [f64; 16],
+}
+
+/// Repaints an object.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Repaint {
+    /// Its name.
+    #[schema(example = "sofa")]
+    pub object: String,
+    /// Diffuse albedo of all its materials, linear RGB, each 0 to 1.
+    #[schema(example = json!([0.6, 0.1, 0.1]))]
+    pub albedo: [f32; 3],
+}
+
+/// Changes colour or intensity of lights.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Relight {
+    /// Light by light.
+    pub lights: Vec<RelightOne>,
+}
+
+/// New colour or intensity of one light; what is absent stays.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RelightOne {
+    /// Its name.
+    #[schema(example = "lamp")]
+    pub light: String,
+    /// Linear RGB factor.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub color: Option<[f32; 3]>,
+    /// Scalar factor.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(example = 2.5)]
+    pub intensity: Option<f32>,
+}
+
+/// Adds a light.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct InsertLight {
+    /// Its name; must be free.
+    #[schema(example = "lamp-2")]
+    pub name: String,
+    /// What it is.
+    pub light: NewLight,
+}
+
+/// A light to add.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum NewLight {
+    /// Shines in all directions.
+    Point(PointLight),
+    /// Shines in a cone.
+    Spot(SpotLight),
+    /// Shines from afar.
+    Directional(DirectionalLight),
+    /// Constant radiance from outside.
+    Environment(EnvironmentLight),
+}
+
+/// Shines in all directions.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PointLight {
+    /// Where it is.
+    #[schema(example = json!([0, 2, 0]))]
+    pub position: [f64; 3],
+    /// Linear RGB factor.
+    #[schema(example = json!([1, 1, 1]))]
+    pub color: [f32; 3],
+    /// Candela.
+    #[schema(example = 40.0)]
+    pub intensity: f32,
+    /// Its light ends here, metres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub range: Option<f32>,
+}
+
+/// Shines in a cone.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SpotLight {
+    /// Where it is.
+    pub position: [f64; 3],
+    /// Where it shines.
+    pub direction: [f32; 3],
+    /// Linear RGB factor.
+    pub color: [f32; 3],
+    /// Candela.
+    pub intensity: f32,
+    /// Full intensity up to this angle from `direction`, radians; 0 where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub inner_cone_angle: Option<f32>,
+    /// No light beyond this angle, radians; π/4 where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub outer_cone_angle: Option<f32>,
+    /// Its light ends here, metres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub range: Option<f32>,
+}
+
+/// Shines from afar.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct DirectionalLight {
+    /// Where it shines.
+    pub direction: [f32; 3],
+    /// Linear RGB factor.
+    pub color: [f32; 3],
+    /// Lux on a surface that faces it.
+    pub intensity: f32,
+}
+
+/// Constant radiance from outside.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EnvironmentLight {
+    /// Linear RGB factor.
+    pub color: [f32; 3],
+    /// Radiance.
+    pub intensity: f32,
+}
+
+/// Takes a light away. An emissive surface stays as an object that emits nothing.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RemoveLight {
+    /// Its name.
+    #[schema(example = "lamp")]
+    pub light: String,
+}
+
+/// Moves a point or spot light, turns a spot or directional light.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MoveLight {
+    /// Its name.
+    #[schema(example = "lamp")]
+    pub light: String,
+    /// New place.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(example = json!([1, 2, 0]))]
+    pub position: Option<[f64; 3]>,
+    /// New direction in which it shines.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub direction: Option<[f32; 3]>,
+}
+
+/// When a job stops: the first bound that is reached ends it. With a bound on time or error alone, samples go on
+/// until that is reached.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Budget {
+    /// Samples per element.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(example = 64, minimum = 1)]
+    pub samples_per_element: Option<u32>,
+    /// Seconds from the job's start. A job does at least one round, however long that takes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(example = 2.5)]
+    pub max_seconds: Option<f64>,
+    /// Stated area-weighted RMSE (irradiance / π).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(example = 0.01)]
+    pub target_rmse: Option<f32>,
+}
+
+/// What the client looks at: a camera of the file (`camera`), a camera of one's own (`eye`, `target`), or a sphere
+/// (`point`, `radius`).
+#[derive(Clone, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Focus {
+    /// Index or name of a camera of the file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera: Option<CameraRef>,
+    /// Where the camera stands.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub eye: Option<[f64; 3]>,
+    /// What it looks at.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub target: Option<[f64; 3]>,
+    /// Upward; +y where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub up: Option<[f64; 3]>,
+    /// Vertical field of view, radians; π/3 where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fov_y: Option<f32>,
+    /// Pixels across; with `height` the shape of the picture, 16:9 where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub width: Option<u32>,
+    /// Pixels down.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub height: Option<u32>,
+    /// Middle of a sphere.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub point: Option<[f64; 3]>,
+    /// Radius of the sphere, metres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub radius: Option<f32>,
+}
+
+/// A camera of the file.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(untagged)]
+pub enum CameraRef {
+    /// By its place in the list.
+    Index(u32),
+    /// By its name.
+    Name(String),
+}

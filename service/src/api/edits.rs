@@ -1,0 +1,182 @@
+//! Edits: accepted at once, lit by a job.
+
+use std::sync::Arc;
+
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::{HeaderMap, HeaderName, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
+
+use super::edit_parse::{Parsed, parse, to_budget, to_edits, to_focus};
+use super::edit_types::EditRequest;
+use super::extract::{ApiPath, ETags, read_body, require_content_type, text_header};
+use super::problem::{ApiResult, Kind, Problem};
+use super::scenes::{full_problem, next_seed};
+use super::types::{Job, to_event_data};
+use super::{Shared, find_scene, require_serving};
+use crate::engine::{Edit, EditError, EditErrorKind};
+use crate::jobs::JobSpec;
+use crate::jobs::queue::JobKind;
+use crate::state::App;
+use crate::store::scenes::{Head, Remembered, SceneEntry};
+
+static IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
+
+/// Edits a scene. The edit is checked against the scene with all edits accepted before, takes effect as a unit or not
+/// at all, and is lit by the job that is answered.
+///
+/// Canceling the job later cancels work on light, not the edit.
+#[utoipa::path(
+    post, path = "/v1/scenes/{scene}/edits", tag = "edits", operation_id = "create_edit",
+    params(
+        ("scene" = String, Path, description = "The scene's id"),
+        ("Idempotency-Key" = Option<String>, Header, description = "Makes the request safe to repeat: the same key with the same body answers the same job"),
+        ("If-Match" = Option<String>, Header, description = "Refuse unless the light map is at this version", example = "\"7\""),
+    ),
+    request_body(content = EditRequest, content_type = "application/json", examples(
+        ("insert" = (value = json!({"op": "insert", "asset": "d74981efa70a0c880b8d8c1985d075dbcbf679b99a5f9914e5aaf96b831a9e24", "name": "chair-2", "transform": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.5, 0, 2, 1]}))),
+        ("remove" = (value = json!({"op": "remove", "objects": ["sofa"]}))),
+        ("move" = (value = json!({"op": "move", "object": "sofa", "transform": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.5, 0, 2, 1], "focus": {"point": [0.5, 0, 2], "radius": 1.5}}))),
+        ("material" = (value = json!({"op": "material", "object": "sofa", "albedo": [0.6, 0.1, 0.1]}))),
+        ("relight" = (value = json!({"op": "relight", "lights": [{"light": "lamp", "color": [1, 0.9, 0.8], "intensity": 2.5}]}))),
+        ("insert_light" = (value = json!({"op": "insert_light", "name": "lamp-2", "light": {"kind": "point", "position": [0, 2, 0], "color": [1, 1, 1], "intensity": 40}}))),
+        ("several" = (value = json!({"edits": [{"op": "remove", "objects": ["sofa"]}, {"op": "move_light", "light": "lamp", "position": [1, 2, 0]}], "budget": {"max_seconds": 2.5}})))
+    )),
+    responses((status = 202, body = Job, description = "Accepted; the job lights it",
+        headers(("Location" = String, description = "Path of the job"))))
+)]
+pub(super) async fn create(
+    State(app): Shared,
+    ApiPath(id): ApiPath<String>,
+    headers: HeaderMap,
+    body: Body,
+) -> ApiResult<Response> {
+    require_serving(&app)?;
+    let scene = find_scene(&app, &id)?;
+    require_content_type(&headers, &["application/json"])?;
+    let key = idempotency_key(&headers)?;
+    let if_match = ETags::from_header(&headers, header::IF_MATCH)?;
+    let body = read_body(&app, &headers, body, app.config.limits.edit_bytes).await?;
+    let body_hash = blake3::hash(&body);
+
+    let mut head = scene.head.clone().lock_owned().await;
+    if scene.is_deleted() {
+        return Err(Problem::new(Kind::UnknownScene, format!("there is no scene {id:?}")));
+    }
+    if let Some(known) = key.as_ref().and_then(|key| head.keys.get(key)) {
+        if known.body_hash != body_hash {
+            return Err(Problem::new(Kind::KeyReused, "this Idempotency-Key came with another body before"));
+        }
+        let answer = match app.jobs.get(known.job) {
+            Some((job, scene)) => to_event_data(&Job::new(&app.ids, &job, &scene)),
+            None => known.answer.clone(),
+        };
+        return Ok(accepted(&app.ids.job(known.job), &answer));
+    }
+    let version = scene.published().version;
+    if if_match.is_some_and(|tags| !tags.matches_strongly(&version.to_string())) {
+        return Err(Problem::new(Kind::PreconditionFailed, format!("the light map is at version {version}")));
+    }
+    app.jobs.has_room(&scene).map_err(full_problem)?;
+    let request = read_request(&app, &head, &body)?;
+
+    // On the pool to the end: once begun, an edit is accepted even where the client has gone away.
+    let (its_app, its_scene) = (app.clone(), scene.clone());
+    let job = app.compute.run(move || {
+        let job = accept(&its_app, &its_scene, &mut head, request, &body)?;
+        let answer = to_event_data(&job.1);
+        if let Some(key) = key {
+            head.keys.insert(key, Remembered { body_hash, job: job.0, answer: answer.clone() });
+        }
+        ApiResult::Ok((job.1.id, answer))
+    });
+    let (id, answer) = job.await??;
+    Ok(accepted(&id, &answer))
+}
+
+/// A request, checked as far as it can be without the engine.
+struct Request {
+    parsed: Parsed,
+    edits: Vec<Edit>,
+    spec: JobSpec,
+}
+
+fn read_request(app: &App, head: &Head, body: &[u8]) -> ApiResult<Request> {
+    let limits = &app.config.limits;
+    let parsed = parse(body, limits.edits_per_request)?;
+    let edits = to_edits(&parsed, &app.assets, limits.name_chars)?;
+    let budget = to_budget(parsed.budget, "budget", app.config.defaults.edit_samples, &app.config)?;
+    let focus = parsed.focus.as_ref().map(|focus| to_focus(focus, &head.world)).transpose()?;
+    let spec = JobSpec { kind: JobKind::Edit, budget, focus, seed: 0, sequence: head.sequence };
+    Ok(Request { parsed, edits, spec })
+}
+
+/// Applies the edits to the head and queues the job. On an error nothing has changed.
+fn accept(
+    app: &Arc<App>,
+    scene: &Arc<SceneEntry>,
+    head: &mut Head,
+    request: Request,
+    body: &Bytes,
+) -> ApiResult<(u64, Job)> {
+    let Request { parsed, edits, mut spec } = request;
+    if edits.is_empty() {
+        spec.seed = next_seed(&mut head.jobs);
+        let job = app.submit(scene, spec, |_| ()).map_err(full_problem)?;
+        return Ok((job.number, Job::new(&app.ids, &job, &scene.id)));
+    }
+    let limits = &app.config.limits;
+    if scene.unlit() >= limits.queued_per_scene + limits.unlit_edits {
+        let text = "too many edits of this scene are not lit yet";
+        return Err(Problem::new(Kind::QueueFull, text).retry_after(1));
+    }
+    let transition = head.world.apply(&edits).map_err(|error| edit_problem(error, parsed.is_list))?;
+    let after = transition.after.clone();
+    let sequence = head.sequence + 1;
+    app.store.edit_accepted(&scene.id, sequence, body)?;
+    let mut jobs = head.jobs;
+    spec.seed = next_seed(&mut jobs);
+    spec.sequence = sequence;
+    let job = app.submit(scene, spec, |_| scene.accept(sequence, transition)).map_err(full_problem)?;
+    head.world = after;
+    head.sequence = sequence;
+    head.jobs = jobs;
+    Ok((job.number, Job::new(&app.ids, &job, &scene.id)))
+}
+
+fn edit_problem(error: EditError, is_list: bool) -> Problem {
+    let field = match error.field.strip_prefix("edits[0].") {
+        Some(field) if !is_list => field.to_owned(),
+        _ => error.field,
+    };
+    let names_light = field.ends_with("light") || field.contains("lights[");
+    let kind = match error.kind {
+        EditErrorKind::NotFound if names_light => Kind::UnknownLight,
+        EditErrorKind::NotFound => Kind::UnknownObject,
+        EditErrorKind::Conflict => Kind::NameTaken,
+        EditErrorKind::Invalid => Kind::InvalidValue,
+        EditErrorKind::TooLarge => Kind::EditTooLarge,
+    };
+    Problem::field(kind, field, error.reason)
+}
+
+fn idempotency_key(headers: &HeaderMap) -> ApiResult<Option<String>> {
+    const MAX_CHARS: usize = 255;
+    match text_header(headers, IDEMPOTENCY_KEY.clone())? {
+        None => Ok(None),
+        Some(key) if (1..=MAX_CHARS).contains(&key.len()) => Ok(Some(key.to_owned())),
+        Some(_) => {
+            let reason = format!("has to have 1 to {MAX_CHARS} characters");
+            Err(Problem::field(Kind::BadRequest, "Idempotency-Key", reason))
+        }
+    }
+}
+
+fn accepted(job: &str, answer: &Arc<str>) -> Response {
+    let headers = [
+        (header::CONTENT_TYPE, "application/json".to_owned()),
+        (header::LOCATION, format!("/v1/jobs/{job}")),
+    ];
+    (StatusCode::ACCEPTED, headers, answer.to_string()).into_response()
+}

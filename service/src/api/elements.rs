@@ -1,0 +1,48 @@
+//! What the entries of a light map stand for.
+
+use axum::extract::State;
+use axum::http::{HeaderMap, HeaderName, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+
+use super::coding::encode_body;
+use super::extract::{ApiPath, Coding, ETags};
+use super::problem::{ApiResult, Problem};
+use super::{Shared, etag, find_scene};
+use crate::engine;
+
+/// Header with the light map's version.
+pub(super) static VERSION: HeaderName = HeaderName::from_static("x-rebake-version");
+
+/// Position, normal, area and object of every element: 32 bytes each, little-endian `f32` position x y z, normal
+/// x y z, area, `u32` object index. Holes that removed objects left have area 0 and index 4294967295.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene}/elements", tag = "light map", operation_id = "get_elements",
+    params(
+        ("scene" = String, Path, description = "The scene's id"),
+        ("If-None-Match" = Option<String>, Header, description = "The `ETag` that the client has"),
+    ),
+    responses(
+        (status = 200, body = Vec<u8>, content_type = "application/octet-stream",
+            headers(("ETag" = String, description = "`elements_version` of the scene"),
+                ("X-Rebake-Version" = String, description = "Version of the light map these elements go with"))),
+        (status = 304, description = "The client has them"),
+    )
+)]
+pub(super) async fn get(State(app): Shared, ApiPath(id): ApiPath<String>, headers: HeaderMap) -> ApiResult<Response> {
+    let published = find_scene(&app, &id)?.published();
+    let tag = published.elements_version.to_string();
+    let known = ETags::from_header(&headers, header::IF_NONE_MATCH)?;
+    let about = [
+        (header::ETAG, etag(published.elements_version)),
+        (VERSION.clone(), published.version.to_string()),
+        (header::VARY, "accept-encoding".to_owned()),
+    ];
+    if known.is_some_and(|tags| tags.matches_weakly(&tag)) {
+        return Ok((StatusCode::NOT_MODIFIED, about).into_response());
+    }
+    let coding = Coding::accepted(&headers);
+    let encode = move || encode_body(coding, engine::element_records(&published.world));
+    let bytes = app.compute.run(encode).await?.map_err(Problem::internal)?;
+    let kind = [(header::CONTENT_TYPE, "application/octet-stream")];
+    Ok((about, kind, coding.headers(), bytes).into_response())
+}

@@ -1,0 +1,37 @@
+//! Liveness, readiness, what is not there yet, and what problems mean.
+
+use axum::Json;
+use axum::extract::State;
+
+use super::extract::ApiPath;
+use super::problem::{self, ApiResult, Kind, Problem};
+use super::types::Health;
+use super::{Shared, require_serving};
+
+/// The process is alive.
+#[utoipa::path(get, path = "/healthz", tag = "service", operation_id = "alive", responses((status = 200, body = Health)))]
+pub(super) async fn alive() -> Json<Health> {
+    Json(Health { status: "ok".to_owned() })
+}
+
+/// The service takes requests.
+#[utoipa::path(get, path = "/readyz", tag = "service", operation_id = "ready", responses((status = 200, body = Health)))]
+pub(super) async fn ready(State(app): Shared) -> ApiResult<Json<Health>> {
+    require_serving(&app)?;
+    Ok(Json(Health { status: "ok".to_owned() }))
+}
+
+/// Calls of api.md that are yet to come.
+pub(super) async fn not_implemented() -> Problem {
+    Problem::new(Kind::NotImplemented, "this call is not there yet")
+}
+
+/// What a kind of problem means.
+#[utoipa::path(
+    get, path = "/problems/{slug}", tag = "service", operation_id = "describe_problem",
+    params(("slug" = String, Path, description = "Last segment of a problem's `type`", example = "unknown-object")),
+    responses((status = 200, body = String, content_type = "text/plain"))
+)]
+pub(super) async fn problem(ApiPath(slug): ApiPath<String>) -> ApiResult<String> {
+    problem::describe(&slug).ok_or_else(|| Problem::new(Kind::NotFound, format!("there is no kind of problem {slug:?}")))
+}

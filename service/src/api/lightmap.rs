@@ -1,0 +1,117 @@
+//! The whole light map as a file.
+
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use rebake_core::delta::{self, Frame};
+use serde::{Deserialize, Serialize};
+use utoipa::{IntoParams, ToSchema};
+
+use super::coding::encode_body;
+use super::elements::VERSION;
+use super::extract::{ApiPath, ApiQuery, Coding, ETags};
+use super::problem::{ApiResult, Problem};
+use super::types::LayerName;
+use super::{Shared, etag, find_scene};
+use crate::engine;
+use crate::store::versions::{Layer, Published};
+
+/// File formats of a light map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Format {
+    /// OpenEXR picture, 32-bit float.
+    Exr,
+    /// The subdivided mesh, the light map as float `COLOR_0`.
+    Glb,
+    /// Delta format, from version 0.
+    Raw,
+}
+
+impl Format {
+    fn content_type(self) -> &'static str {
+        match self {
+            Format::Exr => "image/x-exr",
+            Format::Glb => "model/gltf-binary",
+            Format::Raw => delta::CONTENT_TYPE,
+        }
+    }
+
+    /// The first format that the client names; `raw` where it names none.
+    fn accepted(headers: &HeaderMap) -> Format {
+        let lines = headers.get_all(header::ACCEPT).iter().filter_map(|line| line.to_str().ok());
+        let named = lines.flat_map(|line| line.split(',')).filter_map(|range| {
+            let essence = range.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
+            [Format::Exr, Format::Glb, Format::Raw].into_iter().find(|format| format.content_type() == essence)
+        });
+        named.into_iter().next().unwrap_or(Format::Raw)
+    }
+}
+
+/// What to fetch.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct LightmapQuery {
+    /// File format; by `Accept`, else `raw`, where absent.
+    #[param(inline)]
+    format: Option<Format>,
+    /// Which part of the light; the scene's mode where absent.
+    #[param(inline)]
+    layer: Option<LayerName>,
+}
+
+/// The whole light map.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene}/lightmap", tag = "light map", operation_id = "get_lightmap",
+    params(
+        ("scene" = String, Path, description = "The scene's id"),
+        LightmapQuery,
+        ("If-None-Match" = Option<String>, Header, description = "The version that the client has"),
+    ),
+    responses(
+        (status = 200, description = "The light map", headers(("ETag" = String, description = "The version")),
+            content((Vec<u8> = "application/vnd.rebake.delta"), (Vec<u8> = "image/x-exr"), (Vec<u8> = "model/gltf-binary"))),
+        (status = 304, description = "The client has this version"),
+    )
+)]
+pub(super) async fn get(
+    State(app): Shared,
+    ApiPath(id): ApiPath<String>,
+    ApiQuery(query): ApiQuery<LightmapQuery>,
+    headers: HeaderMap,
+) -> ApiResult<Response> {
+    let scene = find_scene(&app, &id)?;
+    let published = scene.published();
+    let known = ETags::from_header(&headers, header::IF_NONE_MATCH)?;
+    let version = published.version.to_string();
+    let about = [
+        (header::ETAG, etag(published.version)),
+        (VERSION.clone(), version.clone()),
+        (header::VARY, "accept, accept-encoding".to_owned()),
+    ];
+    if known.is_some_and(|tags| tags.matches_weakly(&version)) {
+        return Ok((StatusCode::NOT_MODIFIED, about).into_response());
+    }
+    let format = query.format.unwrap_or_else(|| Format::accepted(&headers));
+    let layer = query.layer.map_or(scene.mode.layer(), Layer::from);
+    let coding = Coding::accepted(&headers);
+    let encode = move || {
+        let file = file(&published, format, layer)?;
+        encode_body(coding, file).map_err(|error| error.to_string())
+    };
+    let body = app.compute.run(encode).await?.map_err(Problem::internal)?;
+    Ok((about, [(header::CONTENT_TYPE, format.content_type())], coding.headers(), body).into_response())
+}
+
+fn file(published: &Published, format: Format, layer: Layer) -> Result<Vec<u8>, String> {
+    let values = published.layer(layer);
+    match format {
+        Format::Exr => {
+            let about = [("version", &*published.version.to_string()), ("light", layer.as_str())];
+            engine::lightmap_exr(&values, &about)
+        }
+        Format::Glb => engine::lightmap_glb(&published.world, &values),
+        Format::Raw => Ok(Frame::whole(&values, published.version).encode()),
+    }
+}

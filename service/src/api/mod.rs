@@ -1,0 +1,84 @@
+//! The HTTP API. Handlers unpack, call and wrap; what they call knows no HTTP.
+
+mod assets;
+mod coding;
+mod deltas;
+mod edit_parse;
+pub mod edit_types;
+mod edits;
+mod elements;
+mod events;
+mod extract;
+mod health;
+mod jobs;
+mod lightmap;
+mod openapi;
+mod paging;
+pub mod problem;
+mod scenes;
+mod trace;
+pub mod types;
+
+use std::sync::Arc;
+
+use axum::Router;
+use axum::extract::State;
+use axum::middleware::from_fn;
+use axum::response::IntoResponse;
+use axum::routing::{get, post};
+
+pub use openapi::document;
+
+use crate::state::App;
+use crate::store::scenes::SceneEntry;
+use problem::{ApiResult, Kind, Problem};
+
+/// What handlers get.
+type Shared = State<Arc<App>>;
+
+/// All routes.
+pub(crate) fn router(app: Arc<App>) -> Router {
+    Router::new()
+        .route("/v1/scenes", post(scenes::create).get(scenes::list))
+        .route("/v1/scenes/{scene}", get(scenes::get).delete(scenes::delete))
+        .route("/v1/scenes/{scene}/edits", post(edits::create))
+        .route("/v1/scenes/{scene}/events", get(events::of_scene))
+        .route("/v1/scenes/{scene}/lightmap", get(lightmap::get))
+        .route("/v1/scenes/{scene}/lightmap/deltas", get(deltas::get))
+        .route("/v1/scenes/{scene}/elements", get(elements::get))
+        .route("/v1/scenes/{scene}/render", get(health::not_implemented))
+        .route("/v1/assets", post(assets::create))
+        .route("/v1/jobs", get(jobs::list))
+        .route("/v1/jobs/{job}", get(jobs::get).delete(jobs::cancel))
+        .route("/v1/jobs/{job}/events", get(events::of_job))
+        .route("/healthz", get(health::alive))
+        .route("/readyz", get(health::ready))
+        .route("/metrics", get(health::not_implemented))
+        .route("/openapi.json", get(openapi::get))
+        .route("/problems/{slug}", get(health::problem))
+        .fallback(|| async { Problem::new(Kind::NotFound, "there is nothing at this path").into_response() })
+        .method_not_allowed_fallback(|| async {
+            Problem::new(Kind::MethodNotAllowed, "this path does not take this method").into_response()
+        })
+        .layer(from_fn(trace::requests))
+        .with_state(app)
+}
+
+/// A scene by its id.
+fn find_scene(app: &App, id: &str) -> ApiResult<Arc<SceneEntry>> {
+    let found = app.ids.parse_scene(id).and_then(|number| app.scenes.get(number));
+    found.ok_or_else(|| Problem::new(Kind::UnknownScene, format!("there is no scene {id:?}")))
+}
+
+/// Refuses new work while the service ends.
+fn require_serving(app: &App) -> ApiResult<()> {
+    if app.is_serving() {
+        return Ok(());
+    }
+    Err(Problem::new(Kind::ShuttingDown, "the service is about to end").retry_after(5))
+}
+
+/// A version as an entity tag.
+fn etag(version: u64) -> String {
+    format!("\"{version}\"")
+}

@@ -1,0 +1,105 @@
+//! The API's description, made from the code.
+
+use utoipa::OpenApi;
+use utoipa::openapi::content::ContentBuilder;
+use utoipa::openapi::path::Operation;
+use utoipa::openapi::response::ResponseBuilder;
+use utoipa::openapi::{Ref, RefOr};
+
+use super::problem::{self, Kind, ProblemDocument};
+use super::{assets, deltas, edit_types, edits, elements, events, health, jobs, lightmap, scenes, types};
+
+#[derive(OpenApi)]
+#[openapi(
+    info(
+        title = "rebake",
+        description = "Keeps the light maps of scenes up to date while they are edited. Errors are problem documents (RFC 9457). Lists are paged by `limit` and `cursor`. The delta format is described in the documentation.",
+        license(name = "MIT OR Apache-2.0")
+    ),
+    paths(
+        scenes::create, scenes::list, scenes::get, scenes::delete, assets::create, edits::create,
+        jobs::list, jobs::get, jobs::cancel, events::of_job, events::of_scene,
+        lightmap::get, deltas::get, elements::get, health::alive, health::ready, health::problem, get
+    ),
+    components(schemas(ProblemDocument, types::SnapshotEvent, types::SceneEvent, types::SceneSummary, edit_types::EditRequest)),
+    tags(
+        (name = "scenes", description = "Geometry, materials, lights"),
+        (name = "assets", description = "What can be inserted"),
+        (name = "edits", description = "Changes"),
+        (name = "jobs", description = "Work on light maps"),
+        (name = "light map", description = "Results"),
+        (name = "service", description = "The service itself")
+    )
+)]
+struct Described;
+
+/// The OpenAPI document.
+pub fn document() -> utoipa::openapi::OpenApi {
+    let mut document = Described::openapi();
+    for item in document.paths.paths.values_mut() {
+        for operation in [&mut item.get, &mut item.post, &mut item.delete].into_iter().flatten() {
+            add_problems(operation);
+        }
+    }
+    document
+}
+
+/// This document.
+#[utoipa::path(get, path = "/openapi.json", tag = "service", operation_id = "openapi", responses((status = 200, body = Object)))]
+pub(super) async fn get() -> axum::Json<utoipa::openapi::OpenApi> {
+    axum::Json(document())
+}
+
+/// The problems of each operation; those of every one come on top.
+fn problems_of(operation: &str) -> &'static [Kind] {
+    use Kind::{
+        EditTooLarge, InvalidJson, InvalidQuery, InvalidValue, JobEnded, KeyReused, MalformedFile, NameTaken, NotFound,
+        PayloadTooLarge, PreconditionFailed, QueueFull, SceneTooLarge, ShuttingDown, Storage, Timeout, TooManyAssets,
+        TooManyScenes, TooManyStreams, TooManyUploads, UnknownAsset, UnknownCamera, UnknownJob, UnknownLight,
+        UnknownObject, UnknownScene, UnsupportedFile, UnsupportedMediaType, VersionAhead,
+    };
+    match operation {
+        "create_scene" => &[
+            InvalidQuery, MalformedFile, Timeout, NameTaken, TooManyScenes, PayloadTooLarge, SceneTooLarge,
+            UnsupportedMediaType, UnsupportedFile, QueueFull, TooManyUploads, ShuttingDown, Storage,
+        ],
+        "create_asset" => &[
+            MalformedFile, Timeout, TooManyAssets, PayloadTooLarge, SceneTooLarge, UnsupportedMediaType,
+            UnsupportedFile, TooManyUploads, ShuttingDown, Storage,
+        ],
+        "create_edit" => &[
+            InvalidJson, UnknownScene, Timeout, NameTaken, PreconditionFailed, PayloadTooLarge, UnsupportedMediaType,
+            InvalidValue, UnknownObject, UnknownLight, UnknownAsset, UnknownCamera, EditTooLarge, KeyReused, QueueFull,
+            ShuttingDown, Storage,
+        ],
+        "list_scenes" | "list_jobs" => &[InvalidQuery],
+        "get_scene" => &[UnknownScene],
+        "delete_scene" => &[UnknownScene, Storage],
+        "get_job" => &[UnknownJob],
+        "cancel_job" => &[UnknownJob, JobEnded],
+        "job_events" => &[UnknownJob, TooManyStreams],
+        "scene_events" => &[UnknownScene, TooManyStreams],
+        "get_lightmap" => &[InvalidQuery, UnknownScene],
+        "get_deltas" => &[InvalidQuery, UnknownScene, VersionAhead, TooManyStreams],
+        "get_elements" => &[UnknownScene],
+        "describe_problem" => &[NotFound],
+        "ready" => &[ShuttingDown],
+        _ => &[],
+    }
+}
+
+fn add_problems(operation: &mut Operation) {
+    let always: &[Kind] = &[Kind::BadRequest, Kind::Internal];
+    let own = problems_of(operation.operation_id.as_deref().unwrap_or_default());
+    let mut by_status = std::collections::BTreeMap::<u16, Vec<String>>::new();
+    for kind in own.iter().chain(always) {
+        let (slug, status, _, about) = kind.row();
+        by_status.entry(status.as_u16()).or_default().push(format!("`{slug}`: {about}"));
+    }
+    for (status, about) in by_status {
+        let document = ContentBuilder::new().schema(Some(Ref::from_schema_name("ProblemDocument"))).build();
+        let response =
+            ResponseBuilder::new().description(about.join("\n\n")).content(problem::CONTENT_TYPE, document).build();
+        operation.responses.responses.insert(status.to_string(), RefOr::T(response));
+    }
+}

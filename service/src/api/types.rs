@@ -1,0 +1,469 @@
+//! What travels as JSON. Inputs refuse fields they do not know; outputs may gain fields.
+
+use std::sync::Arc;
+
+use glam::{DMat4, DVec3, Vec3};
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::engine;
+use crate::jobs::queue;
+use crate::state::Ids;
+use crate::store::versions::{Layer, Mode};
+
+
+/// What a scene's light map holds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SceneMode {
+    /// Direct + indirect light.
+    #[default]
+    Full,
+    /// Indirect light only.
+    Indirect,
+}
+
+impl From<SceneMode> for Mode {
+    fn from(mode: SceneMode) -> Mode {
+        match mode {
+            SceneMode::Full => Mode::Full,
+            SceneMode::Indirect => Mode::Indirect,
+        }
+    }
+}
+
+impl From<Mode> for SceneMode {
+    fn from(mode: Mode) -> SceneMode {
+        match mode {
+            Mode::Full => SceneMode::Full,
+            Mode::Indirect => SceneMode::Indirect,
+        }
+    }
+}
+
+/// One part of a light map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum LayerName {
+    /// Direct + indirect light.
+    Full,
+    /// Light straight from lights.
+    Direct,
+    /// Light after at least one bounce.
+    Indirect,
+}
+
+impl From<LayerName> for Layer {
+    fn from(layer: LayerName) -> Layer {
+        match layer {
+            LayerName::Full => Layer::Full,
+            LayerName::Direct => Layer::Direct,
+            LayerName::Indirect => Layer::Indirect,
+        }
+    }
+}
+
+/// A scene with all that is in it.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct Scene {
+    /// Stable id.
+    #[schema(example = "s1-k3f9qz")]
+    pub id: String,
+    /// Name for people.
+    #[schema(example = "living room")]
+    pub name: String,
+    /// What the light map holds.
+    pub mode: SceneMode,
+    /// Largest distance between neighbouring elements, metres.
+    #[schema(example = 0.1)]
+    pub spacing: f32,
+    /// Version of the light map; 0 before anything was published.
+    #[schema(example = 7)]
+    pub version: u64,
+    /// Version at which elements, objects or lights last changed: fetch `/elements` again where it did.
+    #[schema(example = 3)]
+    pub elements_version: u64,
+    /// Length of the light map. Elements of removed objects leave holes of zeros; the length never falls.
+    #[schema(example = 21_034)]
+    pub elements: u64,
+    /// Elements in use.
+    #[schema(example = 20_500)]
+    pub live_elements: u64,
+    /// Triangles after subdivision.
+    #[schema(example = 40_112)]
+    pub triangles: u64,
+    /// Memory that the scene holds.
+    #[schema(example = 9_211_340)]
+    pub memory_bytes: u64,
+    /// Stated error of the light map: area-weighted RMSE (irradiance / π).
+    #[schema(example = 0.012)]
+    pub estimated_rmse: Option<f32>,
+    /// Accepted edits whose light is not in the map yet: those of jobs that wait, run or were canceled.
+    pub unlit_edits: u64,
+    /// The objects, in order.
+    pub objects: Vec<Object>,
+    /// The lights, in order.
+    pub lights: Vec<Light>,
+    /// The file's cameras, in order.
+    pub cameras: Vec<Camera>,
+    /// What the file asked for and did not get.
+    pub warnings: Vec<String>,
+    /// Triangles without an area, dropped at upload.
+    pub degenerate_triangles: u64,
+    /// The job that runs on the scene, else the next one.
+    #[schema(example = "j4-k3f9qz")]
+    pub current_job: Option<String>,
+    /// When it was uploaded.
+    #[schema(value_type = String, format = DateTime, example = "2026-11-23T09:00:00Z")]
+    pub created_at: Timestamp,
+}
+
+/// A scene in a list.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct SceneSummary {
+    /// Stable id.
+    #[schema(example = "s1-k3f9qz")]
+    pub id: String,
+    /// Name for people.
+    #[schema(example = "living room")]
+    pub name: String,
+    /// What the light map holds.
+    pub mode: SceneMode,
+    /// Largest distance between neighbouring elements, metres.
+    pub spacing: f32,
+    /// Version of the light map.
+    pub version: u64,
+    /// Length of the light map.
+    pub elements: u64,
+    /// Number of objects.
+    pub object_count: u64,
+    /// The job that runs on the scene, else the next one.
+    pub current_job: Option<String>,
+    /// When it was uploaded.
+    #[schema(value_type = String, format = DateTime, example = "2026-11-23T09:00:00Z")]
+    pub created_at: Timestamp,
+}
+
+/// Neighbouring elements.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, ToSchema)]
+pub struct ElementRange {
+    /// The first.
+    pub first: u32,
+    /// How many.
+    pub count: u32,
+}
+
+/// An axis-aligned box in world space, metres.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, ToSchema)]
+pub struct Bounds {
+    /// Smallest coordinates.
+    pub min: [f64; 3],
+    /// Largest coordinates.
+    pub max: [f64; 3],
+}
+
+/// An object: a glTF node with a mesh, the unit of an edit.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct Object {
+    /// Its index in `/elements`.
+    pub index: u32,
+    /// Its name.
+    #[schema(example = "sofa")]
+    pub name: String,
+    /// Its elements.
+    pub elements: ElementRange,
+    /// The second half of its elements belongs to the back of its surface.
+    pub with_back: bool,
+    /// Triangles after subdivision.
+    pub triangles: u32,
+    /// Where it is.
+    pub bounds: Bounds,
+    /// Mean diffuse albedo, linear RGB.
+    #[schema(example = json!([0.6, 0.1, 0.1]))]
+    pub albedo: [f32; 3],
+}
+
+impl Object {
+    pub(crate) fn new(object: &engine::ObjectSummary) -> Object {
+        Object {
+            index: object.index,
+            name: object.name.clone(),
+            elements: ElementRange { first: object.first_element, count: object.elements },
+            with_back: object.with_back,
+            triangles: object.triangles,
+            bounds: Bounds { min: object.bounds.0.to_array(), max: object.bounds.1.to_array() },
+            albedo: object.albedo.to_array(),
+        }
+    }
+}
+
+/// A light. Its strength is `color` × `intensity`, in the unit of its kind.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct Light {
+    /// Its name.
+    #[schema(example = "lamp")]
+    pub name: String,
+    /// `emissive`, `point`, `spot`, `directional` or `environment`.
+    #[schema(example = "point")]
+    pub kind: String,
+    /// Linear RGB factor.
+    pub color: [f32; 3],
+    /// Radiance (emissive, environment), candela (point, spot) or lux (directional).
+    #[schema(example = 40.0)]
+    pub intensity: f32,
+    /// The layer of the light map that holds its light alone; absent while layers are not kept per light.
+    pub layer: Option<String>,
+    /// The object that emits.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub object: Option<String>,
+    /// Where it is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub position: Option<[f64; 3]>,
+    /// Where it shines.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub direction: Option<[f32; 3]>,
+}
+
+/// A camera of the file, as `eye`, `target`, `up` and `fov_y` of a focus or a picture.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct Camera {
+    /// Its index.
+    pub index: u32,
+    /// Its name.
+    #[schema(example = "Camera")]
+    pub name: String,
+    /// Where it stands.
+    pub eye: [f64; 3],
+    /// A point it looks at, one metre ahead.
+    pub target: [f64; 3],
+    /// Upward.
+    pub up: [f64; 3],
+    /// Vertical field of view, radians.
+    #[schema(example = 0.9)]
+    pub fov_y: f32,
+}
+
+/// An uploaded asset.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct Asset {
+    /// Content hash: what `insert` names.
+    #[schema(example = "d74981efa70a0c880b8d8c1985d075dbcbf679b99a5f9914e5aaf96b831a9e24")]
+    pub asset: String,
+    /// Triangles in the file.
+    pub triangles: u64,
+    /// What the file asked for and did not get.
+    pub warnings: Vec<String>,
+}
+
+/// What a job does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum JobKind {
+    /// Lights a scene from scratch, after an upload.
+    Bake,
+    /// Brings the light map up to date after an edit.
+    Edit,
+}
+
+/// Where a job stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum JobState {
+    /// Waits for its turn.
+    Queued,
+    /// Runs.
+    Running,
+    /// Done.
+    Succeeded,
+    /// Ended by an error.
+    Failed,
+    /// Ended by a client or by the end of the service.
+    Canceled,
+}
+
+impl From<queue::JobState> for JobState {
+    fn from(state: queue::JobState) -> JobState {
+        match state {
+            queue::JobState::Queued => JobState::Queued,
+            queue::JobState::Running => JobState::Running,
+            queue::JobState::Succeeded => JobState::Succeeded,
+            queue::JobState::Failed => JobState::Failed,
+            queue::JobState::Canceled => JobState::Canceled,
+        }
+    }
+}
+
+/// The work that brings a light map up to date.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct Job {
+    /// Stable id.
+    #[schema(example = "j4-k3f9qz")]
+    pub id: String,
+    /// The scene's id.
+    #[schema(example = "s1-k3f9qz")]
+    pub scene: String,
+    /// What it does.
+    pub kind: JobKind,
+    /// Where it stands.
+    pub state: JobState,
+    /// It runs and was asked to stop.
+    pub cancel_requested: bool,
+    /// How far it is.
+    pub progress: JobProgress,
+    /// When it was accepted.
+    #[schema(value_type = String, format = DateTime, example = "2026-11-23T09:00:00Z")]
+    pub created_at: Timestamp,
+    /// When it began.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub started_at: Option<Timestamp>,
+    /// When it ended.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub finished_at: Option<Timestamp>,
+    /// Why it failed.
+    pub error: Option<String>,
+}
+
+impl Job {
+    pub(crate) fn new(ids: &Ids, job: &queue::Job, scene: &str) -> Job {
+        let progress = &job.progress;
+        Job {
+            id: ids.job(job.number),
+            scene: scene.to_owned(),
+            kind: match job.kind {
+                queue::JobKind::Bake => JobKind::Bake,
+                queue::JobKind::Edit => JobKind::Edit,
+            },
+            state: job.state.into(),
+            cancel_requested: job.cancel_requested,
+            progress: JobProgress {
+                fraction: progress.fraction,
+                pass: progress.pass.map(str::to_owned),
+                samples_per_element: progress.samples_per_element,
+                elapsed_ms: progress.elapsed_ms,
+                estimated_rmse: progress.estimated_rmse.and_then(finite),
+                rays: progress.rays,
+                version: progress.version,
+            },
+            created_at: job.created_at,
+            started_at: job.started_at,
+            finished_at: job.finished_at,
+            error: job.error.clone(),
+        }
+    }
+}
+
+/// How far a job is.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct JobProgress {
+    /// Part of the budget that is used, 0 to 1; never falls.
+    #[schema(example = 0.4)]
+    pub fraction: f64,
+    /// What is being done: `direct`, `object`, `source`, `propagation` or `final_gather`.
+    #[schema(example = "final_gather")]
+    pub pass: Option<String>,
+    /// Samples per element of the rounds that are finished.
+    #[schema(example = 16)]
+    pub samples_per_element: u32,
+    /// Since the job started.
+    #[schema(example = 412)]
+    pub elapsed_ms: u64,
+    /// Stated error of the newest version: area-weighted RMSE (irradiance / π).
+    #[schema(example = 0.012)]
+    pub estimated_rmse: Option<f32>,
+    /// Rays traced.
+    #[schema(example = 1_200_345)]
+    pub rays: u64,
+    /// Newest version that the job published.
+    #[schema(example = 7)]
+    pub version: Option<u64>,
+}
+
+/// One page of scenes.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct ScenePage {
+    /// Newest first.
+    pub items: Vec<SceneSummary>,
+    /// Asks for the next page; absent on the last.
+    pub next_cursor: Option<String>,
+}
+
+/// One page of jobs.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct JobPage {
+    /// Newest first.
+    pub items: Vec<Job>,
+    /// Asks for the next page; absent on the last.
+    pub next_cursor: Option<String>,
+}
+
+/// Data of a `snapshot` event: a new version is there.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct SnapshotEvent {
+    /// The scene's id.
+    pub scene: String,
+    /// The job that published it.
+    pub job: Option<String>,
+    /// The new version.
+    pub version: u64,
+    /// Version at which elements, objects or lights last changed.
+    pub elements_version: u64,
+    /// Of the job's rounds so far; absent where old light was carried over to new geometry.
+    pub samples_per_element: Option<u32>,
+    /// Stated error of this version.
+    pub estimated_rmse: Option<f32>,
+}
+
+/// What happened to a scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SceneChange {
+    /// Its objects, lights or elements changed.
+    Edited,
+    /// It is gone.
+    Deleted,
+}
+
+/// Data of a `scene` event.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct SceneEvent {
+    /// The scene's id.
+    pub scene: String,
+    /// What happened.
+    pub what: SceneChange,
+    /// The scene's version.
+    pub version: u64,
+    /// Version at which elements, objects or lights last changed.
+    pub elements_version: u64,
+}
+
+/// `/healthz` and `/readyz`.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct Health {
+    /// `ok`.
+    #[schema(example = "ok")]
+    pub status: String,
+}
+
+/// JSON has no NaN and no infinity.
+pub(crate) fn finite(x: f32) -> Option<f32> {
+    x.is_finite().then_some(x)
+}
+
+/// One line of JSON.
+pub(crate) fn to_event_data(value: &impl Serialize) -> Arc<str> {
+    // Only maps with keys that are no strings can fail; there are none here.
+    serde_json::to_string(value).unwrap_or_default().into()
+}
+
+pub(crate) fn vec3(values: [f32; 3]) -> Vec3 {
+    Vec3::from_array(values)
+}
+
+pub(crate) fn dvec3(values: [f64; 3]) -> DVec3 {
+    DVec3::from_array(values)
+}
+
+pub(crate) fn dmat4(values: &[f64; 16]) -> DMat4 {
+    DMat4::from_cols_array(values)
+}

@@ -1,0 +1,283 @@
+//! `rebake bake`: a light map without a service.
+
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use glam::Vec3;
+use indicatif::ProgressBar;
+use rebake_core::export::{lightmap_exr, lightmap_glb};
+use rebake_core::scene::{Light, LightKind, LoadLimits, Scene, load_glb};
+use rebake_core::{Budget, LightMap, Observer, Progress, World, WorldOptions};
+
+use super::exit::Interrupted;
+use super::remote::Replacement;
+use super::ui;
+use super::values::{Rgb, positive};
+
+const AFTER_HELP: &str = "\
+The ending of the file chooses the format: .glb is the subdivided mesh with the light map as float COLOR_0, .exr the \
+values alone. The first bound that is reached of --samples, --max-seconds and --target-rmse ends the bake; Ctrl-C ends \
+it too and writes what there is by then. Same scene, same options, same seed: same bits, whatever the number of \
+threads, unless time ended it.
+  rebake bake room.glb -o room.exr --spacing 0.05 --samples 512
+  rebake bake room.glb -o room.glb --target-rmse 0.01 --environment 1,1,1.2";
+
+/// Arguments of `rebake bake`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = AFTER_HELP)]
+pub(super) struct BakeArgs {
+    /// Scene to bake: a binary glTF file
+    #[arg(value_name = "SCENE.glb")]
+    file: PathBuf,
+    /// File to write
+    #[arg(short, long, value_name = "OUT.{glb,exr}", value_parser = output_file)]
+    output: PathBuf,
+    /// Largest distance between neighbouring elements, metres [default: from the scene's size]
+    #[arg(long, value_name = "METRES", value_parser = positive)]
+    spacing: Option<f64>,
+    /// Samples per element
+    #[arg(long, value_name = "N", default_value_t = 128, value_parser = clap::value_parser!(u32).range(1..))]
+    samples: u32,
+    /// What to write: all light, or only what has bounced
+    #[arg(long, value_enum, default_value_t = Mode::Full)]
+    mode: Mode,
+    /// Constant radiance from outside, linear RGB [default: black]
+    #[arg(long, value_name = "R,G,B")]
+    environment: Option<Rgb>,
+    /// Seed of the random numbers
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// Stop after this time
+    #[arg(long, value_name = "SECONDS", value_parser = positive)]
+    max_seconds: Option<f64>,
+    /// Stop at this stated error (RMSE of radiance / albedo)
+    #[arg(long, value_name = "RMSE", value_parser = positive)]
+    target_rmse: Option<f64>,
+    /// Threads [default: one per core]
+    #[arg(long, value_name = "N", env = "REBAKE_THREADS")]
+    threads: Option<NonZeroUsize>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Mode {
+    Full,
+    Indirect,
+}
+
+fn is_glb(path: &Path) -> bool {
+    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("glb"))
+}
+
+fn output_file(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    if is_glb(&path) || path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("exr")) {
+        Ok(path)
+    } else {
+        Err("the file has to end in .glb or .exr".to_owned())
+    }
+}
+
+/// Bakes a file.
+pub(super) async fn bake(args: BakeArgs) -> anyhow::Result<()> {
+    let threads = args.threads.map_or(0, NonZeroUsize::get);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().context("cannot start the threads")?;
+    let watch = Arc::new(Watch::new(args.samples, args.max_seconds));
+    let work = {
+        let watch = Arc::clone(&watch);
+        tokio::task::spawn_blocking(move || pool.install(|| bake_file(&args, &watch)))
+    };
+    let signal = Arc::clone(&watch);
+    let listener = tokio::spawn(async move {
+        if tokio::signal::ctrl_c().await.is_ok() {
+            signal.canceled.store(true, Ordering::Relaxed);
+            // Loading and writing do not ask whether to go on.
+            if tokio::signal::ctrl_c().await.is_ok() {
+                std::process::exit(130);
+            }
+        }
+    });
+    let result = work.await.context("the bake broke down")?;
+    listener.abort();
+    result
+}
+
+fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
+    let start = Instant::now();
+    let scene = load_scene(args)?;
+    // Opened now: a place that cannot be written is better known before the bake than after it.
+    let mut out = Replacement::begin(&args.output)?;
+    let spinner = ui::spinner("elements");
+    let options = WorldOptions { spacing: args.spacing.map(|spacing| spacing as f32), ..WorldOptions::default() };
+    let world = World::new(scene, &options);
+    spinner.finish_and_clear();
+    let world = world?;
+    let ready = Instant::now();
+
+    watch.begin();
+    let budget = Budget { samples_per_element: args.samples, target_rmse: args.target_rmse.map(|rmse| rmse as f32) };
+    let baked = rebake_core::bake(&world, &budget, args.seed, watch);
+    let seen = watch.finish();
+    let interrupted = baked.is_err();
+    let map = match baked.ok().or(seen.map) {
+        Some(map) => map,
+        None => return Err(Interrupted(" before there was a light map; nothing is written").into()),
+    };
+    let done = Instant::now();
+
+    let values: Vec<Vec3> = match args.mode {
+        Mode::Full => (0..map.len()).map(|i| map.total(i)).collect(),
+        Mode::Indirect => map.indirect.clone(),
+    };
+    let file = if is_glb(&args.output) { lightmap_glb(&world, &values) } else { lightmap_exr(&values) };
+    out.write(&file.with_context(|| format!("cannot write {}", args.output.display()))?)?;
+    let bytes = out.finish()?;
+
+    let (scene_time, bake_time) = (ready - start, done - ready);
+    let line = |name: &str, text: String| ui::out(&format!("{name:<13} {text}"));
+    line("elements", format!("{}, spacing {:.3} m", ui::count(world.element_count() as u64), world.spacing()))?;
+    line("samples", format!("{} per element", seen.samples))?;
+    line("rays", ui::short(seen.rays as f64))?;
+    let times = (scene_time.as_secs_f64(), bake_time.as_secs_f64());
+    line("time", format!("{} scene, {} bake", ui::seconds(times.0), ui::seconds(times.1)))?;
+    line("stated error", ui::rmse(f64::from(map.estimated_rmse(world.areas()))))?;
+    line("written", format!("{}, {}", args.output.display(), ui::bytes(bytes)))?;
+    if interrupted { Err(Interrupted("; what there was by then is written").into()) } else { Ok(()) }
+}
+
+fn load_scene(args: &BakeArgs) -> anyhow::Result<Scene> {
+    let cannot = || format!("cannot load {}", args.file.display());
+    let glb = std::fs::read(&args.file).with_context(cannot)?;
+    let mut scene = load_glb(&glb, &LoadLimits::default()).with_context(cannot)?;
+    for warning in &scene.warnings {
+        ui::note(&format!("warning: {warning}"));
+    }
+    if let Some(Rgb(radiance)) = args.environment {
+        let taken = scene.lights.iter().any(|light| light.name == "environment");
+        anyhow::ensure!(!taken, "--environment: the scene has a light of the name \"environment\"");
+        let color = Vec3::from_array(radiance.map(|x| x as f32));
+        let name = "environment".to_owned();
+        scene.lights.push(Light { name, kind: LightKind::Environment, color, intensity: 1.0 });
+    }
+    Ok(scene)
+}
+
+/// Watches a bake: shows it, keeps the last snapshot, and ends it in time.
+struct Watch {
+    canceled: AtomicBool,
+    samples: u32,
+    max_time: Option<Duration>,
+    bar: ProgressBar,
+    seen: Mutex<Seen>,
+}
+
+/// What a bake has told so far.
+#[derive(Default)]
+struct Seen {
+    start: Option<Instant>,
+    map: Option<Arc<LightMap>>,
+    samples: u32,
+    rays: u64,
+}
+
+impl Watch {
+    fn new(samples: u32, max_seconds: Option<f64>) -> Watch {
+        let max_time = max_seconds.map(|s| Duration::try_from_secs_f64(s).unwrap_or(Duration::MAX));
+        Watch {
+            canceled: AtomicBool::new(false),
+            samples,
+            max_time,
+            bar: ProgressBar::hidden(),
+            seen: Mutex::default(),
+        }
+        .with_bar()
+    }
+
+    fn with_bar(mut self) -> Watch {
+        self.bar = ui::bar("bake");
+        self.bar.disable_steady_tick();
+        self
+    }
+
+    fn seen(&self) -> std::sync::MutexGuard<'_, Seen> {
+        self.seen.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn begin(&self) {
+        self.seen().start = Some(Instant::now());
+        self.bar.reset_elapsed();
+        self.bar.enable_steady_tick(Duration::from_millis(100));
+    }
+
+    fn finish(&self) -> Seen {
+        self.bar.finish_and_clear();
+        std::mem::take(&mut *self.seen())
+    }
+
+    fn elapsed(&self) -> Duration {
+        self.seen().start.map_or(Duration::ZERO, |start| start.elapsed())
+    }
+}
+
+/// How many of the proposed samples fit into the time that is left, going by the time that the others took.
+fn affordable(elapsed: Duration, max: Duration, samples_so_far: u32, proposed: u32) -> u32 {
+    let left = max.saturating_sub(elapsed).as_secs_f64();
+    if samples_so_far == 0 {
+        return if left > 0.0 { proposed } else { 0 };
+    }
+    let per_sample = elapsed.as_secs_f64() / f64::from(samples_so_far);
+    let fits = if per_sample > 0.0 { left / per_sample } else { f64::from(u32::MAX) };
+    // `as` saturates.
+    proposed.min(fits as u32)
+}
+
+impl Observer for Watch {
+    fn canceled(&self) -> bool {
+        self.canceled.load(Ordering::Relaxed)
+    }
+
+    fn progress(&self, progress: &Progress) {
+        let done = f64::from(progress.samples_per_element);
+        let running = f64::from(progress.round_samples) * f64::from(progress.round_fraction);
+        let by_samples = (done + running) / f64::from(self.samples);
+        let by_time = self.max_time.map_or(0.0, |max| self.elapsed().as_secs_f64() / max.as_secs_f64());
+        self.bar.set_position((by_samples.max(by_time).clamp(0.0, 1.0) * 1000.0) as u64);
+        let rmse = progress.estimated_rmse.map(|rmse| format!(", error {}", ui::rmse(f64::from(rmse))));
+        let pass = progress.pass.as_str().replace('_', " ");
+        self.bar.set_message(format!("{pass}{}", rmse.unwrap_or_default()));
+        self.seen().rays = progress.rays;
+    }
+
+    fn plan_round(&self, so_far: &Progress, proposed: u32) -> u32 {
+        match self.max_time {
+            Some(max) => affordable(self.elapsed(), max, so_far.samples_per_element, proposed),
+            None => proposed,
+        }
+    }
+
+    fn snapshot(&self, map: &Arc<LightMap>, progress: &Progress) {
+        let mut seen = self.seen();
+        seen.map = Some(Arc::clone(map));
+        seen.samples = progress.samples_per_element;
+        seen.rays = progress.rays;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rounds_are_cut_to_the_time_left() {
+        let s = Duration::from_secs;
+        assert_eq!(affordable(s(0), s(10), 0, 16), 16, "the first round always runs");
+        assert_eq!(affordable(s(10), s(10), 0, 16), 0, "unless there is no time at all");
+        assert_eq!(affordable(s(2), s(10), 16, 16), 16);
+        assert_eq!(affordable(s(8), s(10), 64, 64), 16);
+        assert_eq!(affordable(s(12), s(10), 64, 64), 0);
+        assert_eq!(affordable(s(1), Duration::MAX, 1, u32::MAX), u32::MAX);
+    }
+}

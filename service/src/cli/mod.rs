@@ -1,0 +1,179 @@
+//! The command line. Results go to standard output, everything else to standard error.
+
+mod bake;
+mod demo;
+mod exit;
+mod remote;
+mod serve;
+mod ui;
+mod values;
+
+use std::ffi::OsString;
+use std::process::ExitCode;
+
+use clap::error::ErrorKind;
+use clap::{CommandFactory, Parser, Subcommand};
+
+const LONG_ABOUT: &str = "\
+Keeps the light map of a 3D scene up to date while the scene is edited.
+
+Upload a room as binary glTF, follow its light map as it is baked, insert, move, repaint or remove furniture, \
+and get only the values that changed, seconds after the edit instead of minutes.";
+
+const AFTER_HELP: &str = "\
+Try it:
+  rebake demo                              a furnished room, edited over HTTP and measured
+  rebake bake room.glb -o room.exr         a light map without a service
+
+With a service:
+  rebake serve &
+  ID=$(rebake push room.glb --wait)        upload and bake; prints the scene's id
+  rebake watch $ID                         one line per new version of its light map
+  rebake edit $ID --wait insert chair.glb --at 1,0,2
+  rebake edit $ID --wait remove chair
+  rebake pull $ID -o room.glb              the subdivided mesh with the light map as COLOR_0
+
+Exit status: 0 done, 1 failed, 2 wrong usage, 3 the service refused, 4 the job failed or was canceled, \
+130 interrupted.";
+
+/// Keeps the light map of a 3D scene up to date while the scene is edited.
+#[derive(Debug, Parser)]
+#[command(name = "rebake", version, long_about = LONG_ABOUT, after_help = AFTER_HELP, max_term_width = 100)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run the service
+    Serve(serve::ServeArgs),
+    /// Show what the service does: a furnished room, baked and edited over HTTP, measured
+    Demo(demo::DemoArgs),
+    /// Bake the light map of a scene file, without a service
+    Bake(bake::BakeArgs),
+    /// Upload a scene and bake it
+    Push(remote::PushArgs),
+    /// Change a scene: insert, remove, move or repaint objects, change lights
+    Edit(Box<remote::EditArgs>),
+    /// Follow a scene's light map: one line per new version
+    Watch(remote::WatchArgs),
+    /// Save a scene's light map to a file
+    Pull(remote::PullArgs),
+    /// Ask a service whether it takes work
+    Health(remote::HealthArgs),
+    /// Print the API description (OpenAPI, JSON)
+    Openapi,
+}
+
+/// Parses the arguments and checks what clap cannot.
+fn parse(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> Result<Cli, clap::Error> {
+    let cli = Cli::try_parse_from(arguments)?;
+    match &cli.command {
+        Command::Edit(args) if args.is_twofold() => {
+            let message = "give either an operation or --json, not both";
+            Err(Cli::command().error(ErrorKind::ArgumentConflict, message))
+        }
+        _ => Ok(cli),
+    }
+}
+
+/// Parses the arguments, does what they ask for, and tells how it went.
+pub(crate) fn run() -> ExitCode {
+    let cli = parse(std::env::args_os()).unwrap_or_else(|error| error.exit());
+    let runtime = match tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build() {
+        Ok(runtime) => runtime,
+        Err(error) => return exit::report(&anyhow::Error::new(error).context("cannot start")),
+    };
+    let result = runtime.block_on(async {
+        match cli.command {
+            Command::Serve(args) => serve::serve(args).await,
+            Command::Demo(args) => demo::demo(args).await,
+            Command::Bake(args) => bake::bake(args).await,
+            Command::Push(args) => remote::push(args).await,
+            Command::Edit(args) => remote::edit(&args).await,
+            Command::Watch(args) => remote::watch(args).await,
+            Command::Pull(args) => remote::pull(args).await,
+            Command::Health(args) => remote::health(args).await,
+            Command::Openapi => ui::out(&serve::openapi_document()?),
+        }
+    });
+    // Whatever still computes in the background has nothing to say any more.
+    runtime.shutdown_background();
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => exit::report(&error),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_arguments_are_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn every_command_explains_itself() {
+        for command in Cli::command().get_subcommands_mut() {
+            let help = command.render_long_help().to_string();
+            assert!(help.contains("Usage:"), "{help}");
+            assert!(command.get_about().is_some(), "{}", command.get_name());
+        }
+    }
+
+    #[test]
+    fn lines_of_the_documentation_parse() {
+        for line in [
+            "rebake serve --listen 127.0.0.1:0 --threads 2",
+            "rebake demo --exit",
+            "rebake bake room.glb -o room.exr --spacing 0.1 --samples 256 --mode indirect --environment 1,1,1",
+            "rebake push room.glb --server http://h:1 --name room --spacing 0.05 --wait",
+            "rebake edit s1 --json -",
+            "rebake edit s1 --wait insert chair.glb --at 1,0,2 --rotate-y 90",
+            "rebake edit s1 --wait remove sofa chair-*",
+            "rebake edit s1 move sofa --transform 1,0,0,0,0,1,0,0,0,0,1,0,2,0,1,1",
+            "rebake edit s1 --samples 64 --max-seconds 2 --target-rmse 0.01 material sofa --albedo 0.6,0.1,0.1",
+            "rebake edit s1 relight lamp --color 1,0.9,0.8 --intensity 2.5",
+            "rebake edit s1 insert-light lamp-2 --kind point --position 0,2,0 --intensity 40",
+            "rebake edit s1 move-light lamp-2 --position 1,2,0",
+            "rebake watch s1 --until 7",
+            "rebake pull s1 -o room.rbkd --layer indirect",
+            "rebake health",
+            "rebake openapi",
+        ] {
+            let parsed = parse(line.split(' '));
+            assert!(parsed.is_ok(), "{line}: {}", parsed.err().map(|e| e.to_string()).unwrap_or_default());
+        }
+    }
+
+    #[test]
+    fn wrong_arguments_are_refused() {
+        for line in [
+            "rebake",
+            "rebake serve --listen nowhere",
+            "rebake serve --threads 0",
+            "rebake bake room.glb",
+            "rebake bake room.glb -o room.png",
+            "rebake bake room.glb -o room.exr --spacing -1",
+            "rebake bake room.glb -o room.exr --samples 0",
+            "rebake bake room.glb -o room.exr --mode half",
+            "rebake push room.glb --environment 1,2",
+            "rebake push room.glb --spacing nan",
+            "rebake edit s1",
+            "rebake edit s1 --json - remove sofa",
+            "rebake edit s1 remove",
+            "rebake edit s1 move sofa --transform 1,2,3",
+            "rebake edit s1 move sofa",
+            "rebake edit s1 move-light lamp",
+            "rebake edit s1 relight lamp",
+            "rebake edit s1 material sofa --albedo 1.5,0,0",
+            "rebake edit s1 insert-light l --kind point",
+            "rebake pull s1 -o room.obj",
+        ] {
+            assert!(parse(line.split(' ')).is_err(), "{line}");
+        }
+    }
+}

@@ -1,0 +1,191 @@
+//! `rebake edit`: change a scene.
+
+use std::io::Read;
+use std::path::Path;
+
+use anyhow::Context;
+use rebake::client::EditOptions;
+use serde_json::{Value, json};
+
+use super::super::ui;
+use super::super::values::{Sphere, positive};
+use super::operation::{Operation, set};
+use super::{ServerArgs, interruptible, note_done, read_file, wait_for_job};
+
+const AFTER_HELP: &str = "\
+Prints the id of the job on standard output, all else on standard error.
+Options stand before the operation:
+  rebake edit $ID --wait insert chair.glb --at 1.5,0,2 --rotate-y 30
+  rebake edit $ID --wait --target-rmse 0.01 remove 'chair*'
+  rebake edit $ID relight lamp --intensity 2
+Several edits as one, applied together or not at all:
+  echo '{\"edits\": [{\"op\": \"remove\", \"objects\": [\"sofa\"]},
+    {\"op\": \"material\", \"object\": \"floor\", \"albedo\": [0.5, 0.4, 0.3]}]}' |
+    rebake edit $ID --wait --json -";
+
+/// Arguments of `rebake edit`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = AFTER_HELP, subcommand_negates_reqs = true)]
+pub(in super::super) struct EditArgs {
+    /// Id of the scene
+    scene: String,
+    #[command(flatten)]
+    server: ServerArgs,
+    /// The edit, or {"edits": [...]}, as JSON from a file; `-` reads standard input
+    #[arg(long, value_name = "FILE", required = true)]
+    json: Option<String>,
+    /// Return when the light map is up to date
+    #[arg(long)]
+    wait: bool,
+    /// Budget: samples per element
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    samples: Option<u32>,
+    /// Budget: computing time
+    #[arg(long, value_name = "SECONDS", value_parser = positive)]
+    max_seconds: Option<f64>,
+    /// Budget: stop at this stated error (RMSE of radiance / albedo)
+    #[arg(long, value_name = "RMSE", value_parser = positive)]
+    target_rmse: Option<f64>,
+    /// Bring what lies in this sphere up to date first
+    #[arg(long, value_name = "X,Y,Z,RADIUS", allow_hyphen_values = true)]
+    focus: Option<Sphere>,
+    /// Refuse if the light map is not at this version
+    #[arg(long, value_name = "VERSION")]
+    if_match: Option<u64>,
+    /// A word of your choice that makes it safe to send the same edit twice
+    #[arg(long, value_name = "KEY")]
+    idempotency_key: Option<String>,
+    #[command(subcommand)]
+    operation: Option<Operation>,
+}
+
+impl EditArgs {
+    /// Whether the edit is given both ways: clap lets that through, since an operation lifts the need for `--json`.
+    pub(in super::super) fn is_twofold(&self) -> bool {
+        self.json.is_some() && self.operation.is_some()
+    }
+
+    /// Adds budget and focus to an edit or a list of edits.
+    fn with_options(&self, mut edit: Value) -> Value {
+        let mut budget = json!({});
+        set(&mut budget, "samples_per_element", self.samples.map(|x| json!(x)));
+        set(&mut budget, "max_seconds", self.max_seconds.map(|x| json!(x)));
+        set(&mut budget, "target_rmse", self.target_rmse.map(|x| json!(x)));
+        let has_budget = budget.as_object().is_some_and(|fields| !fields.is_empty());
+        set(&mut edit, "budget", has_budget.then_some(budget));
+        set(&mut edit, "focus", self.focus.map(|Sphere(point, radius)| json!({"point": point, "radius": radius})));
+        edit
+    }
+}
+
+/// Posts an edit.
+pub(in super::super) async fn edit(args: &EditArgs) -> anyhow::Result<()> {
+    let client = args.server.client()?;
+    let edit = match (&args.operation, &args.json) {
+        (Some(operation), None) => {
+            let uploaded = match operation.asset_file() {
+                Some(path) => {
+                    let glb = read_file(&path)?;
+                    Some(interruptible(async { Ok(client.create_asset(glb).await?) }, "").await?)
+                }
+                None => None,
+            };
+            operation.json(uploaded)
+        }
+        (None, Some(path)) => read_json(path)?,
+        _ => anyhow::bail!("give either an operation or --json"),
+    };
+    let options = EditOptions { idempotency_key: args.idempotency_key.clone(), if_match: args.if_match };
+    let edit = args.with_options(edit);
+    let job = interruptible(async { Ok(client.edit(&args.scene, &edit, &options).await?) }, "").await?;
+    ui::out(&job.id)?;
+    if args.wait {
+        let wait = wait_for_job(&client, &job, |_| ());
+        note_done(&interruptible(wait, ": the update goes on at the service").await?);
+    }
+    Ok(())
+}
+
+fn read_json(path: &str) -> anyhow::Result<Value> {
+    let (text, place) = if path == "-" {
+        let mut text = String::new();
+        std::io::stdin().read_to_string(&mut text).context("cannot read standard input")?;
+        (text.into_bytes(), "standard input")
+    } else {
+        (read_file(Path::new(path))?, path)
+    };
+    let json: Value = serde_json::from_slice(&text).with_context(|| format!("{place} is not JSON"))?;
+    anyhow::ensure!(json.is_object(), "{place} has to hold one JSON object, an edit or {{\"edits\": [...]}}");
+    Ok(json)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Alone {
+        #[command(flatten)]
+        edit: EditArgs,
+    }
+
+    fn json_of(line: &str) -> Value {
+        let args = Alone::try_parse_from(["edit", "s"].into_iter().chain(line.split(' '))).expect(line).edit;
+        let operation = args.operation.as_ref().expect("an operation");
+        args.with_options(operation.json(operation.asset_file().map(|_| "hash".to_owned())))
+    }
+
+    #[test]
+    fn operations_become_the_json_of_the_api() {
+        let moved = [1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1., 0., 1., 0., -2., 1.];
+        let cases = [
+            (
+                "insert a/chair.glb --at 1,0,-2",
+                json!({"op": "insert", "asset": "hash", "name": "chair", "transform": moved}),
+            ),
+            (
+                "insert abc --name x --transform 1,0,0,0,0,1,0,0,0,0,1,0,1,0,-2,1",
+                json!({"op": "insert", "asset": "abc", "name": "x", "transform": moved}),
+            ),
+            ("remove a b-*", json!({"op": "remove", "objects": ["a", "b-*"]})),
+            ("move sofa --at 1,0,-2", json!({"op": "move", "object": "sofa", "transform": moved})),
+            (
+                "material sofa --albedo 0.6,0.1,0.1",
+                json!({"op": "material", "object": "sofa", "albedo": [0.6, 0.1, 0.1]}),
+            ),
+            (
+                "relight lamp --color 1,0.5,0.25",
+                json!({"op": "relight", "lights": [{"light": "lamp", "color": [1.0, 0.5, 0.25]}]}),
+            ),
+            ("relight lamp --intensity 0", json!({"op": "relight", "lights": [{"light": "lamp", "intensity": 0.0}]})),
+            (
+                "insert-light l --kind point --position 0,2,0 --intensity 40",
+                json!({"op": "insert_light", "name": "l",
+                    "light": {"kind": "point", "position": [0.0, 2.0, 0.0], "color": [1.0, 1.0, 1.0], "intensity": 40.0}}),
+            ),
+            ("remove-light l", json!({"op": "remove_light", "light": "l"})),
+            ("move-light l --position -1,2,0", json!({"op": "move_light", "light": "l", "position": [-1.0, 2.0, 0.0]})),
+        ];
+        for (line, expected) in cases {
+            assert_eq!(json_of(line), expected, "{line}");
+        }
+    }
+
+    #[test]
+    fn budget_and_focus_stand_beside_the_operation() {
+        assert_eq!(
+            json_of("--samples 8 --target-rmse 0.5 --focus 0,1,2,3 remove a"),
+            json!({"op": "remove", "objects": ["a"], "budget": {"samples_per_element": 8, "target_rmse": 0.5},
+                "focus": {"point": [0.0, 1.0, 2.0], "radius": 3.0}})
+        );
+    }
+
+    #[test]
+    fn a_turn_is_about_the_vertical() {
+        let matrix = &json_of("move a --at 0,0,0 --rotate-y 90 --scale 2")["transform"];
+        // The x axis turns to −z.
+        assert!((matrix[2].as_f64().unwrap() + 2.0).abs() < 1e-12, "{matrix}");
+    }
+}

@@ -1,0 +1,201 @@
+//! The edits of `rebake edit` and their JSON.
+
+use std::path::PathBuf;
+
+use glam::{DMat4, DQuat, DVec3};
+use serde_json::{Value, json};
+
+use super::super::values::{Matrix, Point, Rgb, albedo, not_negative, positive};
+
+/// One edit.
+#[derive(Debug, clap::Subcommand)]
+pub(super) enum Operation {
+    /// Put an asset into the scene as one object
+    Insert {
+        /// A binary glTF file, or the id of an asset uploaded before
+        #[arg(value_name = "ASSET.glb|ID")]
+        asset: String,
+        /// Name of the new object [default: the file's]
+        #[arg(long)]
+        name: Option<String>,
+        #[command(flatten)]
+        place: Place,
+    },
+    /// Take objects out, with the lights on them
+    Remove {
+        /// Names of objects; `*` stands for any part of a name
+        #[arg(value_name = "OBJECT", required = true)]
+        objects: Vec<String>,
+    },
+    /// Give an object a new place, instead of its present one
+    Move {
+        /// Name of the object
+        object: String,
+        #[command(flatten)]
+        place: Place,
+    },
+    /// Repaint an object
+    Material {
+        /// Name of the object
+        object: String,
+        /// Diffuse albedo, linear RGB
+        #[arg(long, value_name = "R,G,B", value_parser = albedo)]
+        albedo: Rgb,
+    },
+    /// Change a light's colour or intensity
+    #[command(group(clap::ArgGroup::new("change").required(true).multiple(true).args(["color", "intensity"])))]
+    Relight {
+        /// Name of the light
+        light: String,
+        /// Linear RGB
+        #[arg(long, value_name = "R,G,B")]
+        color: Option<Rgb>,
+        /// Factor of the colour
+        #[arg(long, value_parser = not_negative)]
+        intensity: Option<f64>,
+    },
+    /// Add a light
+    InsertLight(NewLight),
+    /// Take a light away
+    RemoveLight {
+        /// Name of the light
+        light: String,
+    },
+    /// Give a light a new place or direction
+    #[command(group(clap::ArgGroup::new("change").required(true).multiple(true).args(["position", "direction"])))]
+    MoveLight {
+        /// Name of the light
+        light: String,
+        /// Metres
+        #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+        position: Option<Point>,
+        /// Where it shines
+        #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+        direction: Option<Point>,
+    },
+}
+
+/// A light to add.
+#[derive(Debug, clap::Args)]
+pub(super) struct NewLight {
+    /// Name of the new light
+    name: String,
+    /// How it spreads
+    #[arg(long, value_parser = ["point", "spot", "directional", "environment"])]
+    kind: String,
+    /// Metres
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, required_if_eq_any([("kind", "point"), ("kind", "spot")]))]
+    position: Option<Point>,
+    /// Where it shines
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, required_if_eq_any([("kind", "spot"), ("kind", "directional")]))]
+    direction: Option<Point>,
+    /// Spot: full intensity up to this angle from the direction
+    #[arg(long, value_name = "DEGREES", value_parser = not_negative)]
+    inner_cone: Option<f64>,
+    /// Spot: no light beyond this angle
+    #[arg(long, value_name = "DEGREES", value_parser = positive)]
+    outer_cone: Option<f64>,
+    /// Point, spot: its light ends here [default: never]
+    #[arg(long, value_name = "METRES", value_parser = positive)]
+    range: Option<f64>,
+    /// Linear RGB
+    #[arg(long, value_name = "R,G,B", default_value = "1")]
+    color: Rgb,
+    /// Candela (point, spot), lux (directional) or radiance (environment)
+    #[arg(long, value_parser = not_negative)]
+    intensity: f64,
+}
+
+/// Where something stands: a matrix, or a position with a turn and a size.
+#[derive(Debug, clap::Args)]
+#[group(required = true, multiple = true)]
+pub(super) struct Place {
+    /// 16 numbers, column-major, object to world
+    #[arg(long, value_name = "M,…", allow_hyphen_values = true, conflicts_with_all = ["at", "rotate_y", "scale"])]
+    transform: Option<Matrix>,
+    /// Position, metres
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    at: Option<Point>,
+    /// Turn about the vertical
+    #[arg(long, value_name = "DEGREES", allow_hyphen_values = true)]
+    rotate_y: Option<f64>,
+    /// Size
+    #[arg(long, value_name = "FACTOR", value_parser = positive)]
+    scale: Option<f64>,
+}
+
+impl Place {
+    fn matrix(&self) -> [f64; 16] {
+        if let Some(Matrix(matrix)) = self.transform {
+            return matrix;
+        }
+        DMat4::from_scale_rotation_translation(
+            DVec3::splat(self.scale.unwrap_or(1.0)),
+            DQuat::from_rotation_y(self.rotate_y.unwrap_or(0.0).to_radians()),
+            self.at.map_or(DVec3::ZERO, |Point(at)| DVec3::from_array(at)),
+        )
+        .to_cols_array()
+    }
+}
+
+impl Operation {
+    /// The file to upload first, where the edit inserts one.
+    pub(super) fn asset_file(&self) -> Option<PathBuf> {
+        match self {
+            Operation::Insert { asset, .. } if asset.to_ascii_lowercase().ends_with(".glb") => Some(asset.into()),
+            _ => None,
+        }
+    }
+
+    /// The edit as api.md describes it; `uploaded` is the id of [`Operation::asset_file`].
+    pub(super) fn json(&self, uploaded: Option<String>) -> Value {
+        match self {
+            Operation::Insert { asset, name, place } => {
+                let file_name = self.asset_file().and_then(|path| rebake::client::types::NewScene::name_of(&path));
+                let name = name.clone().or(file_name).unwrap_or_else(|| asset.chars().take(8).collect());
+                let asset = uploaded.unwrap_or_else(|| asset.clone());
+                json!({"op": "insert", "asset": asset, "name": name, "transform": place.matrix()})
+            }
+            Operation::Remove { objects } => json!({"op": "remove", "objects": objects}),
+            Operation::Move { object, place } => {
+                json!({"op": "move", "object": object, "transform": place.matrix()})
+            }
+            Operation::Material { object, albedo } => {
+                json!({"op": "material", "object": object, "albedo": albedo.0})
+            }
+            Operation::Relight { light, color, intensity } => {
+                let mut change = json!({"light": light});
+                set(&mut change, "color", color.map(|rgb| json!(rgb.0)));
+                set(&mut change, "intensity", intensity.map(|intensity| json!(intensity)));
+                json!({"op": "relight", "lights": [change]})
+            }
+            Operation::InsertLight(new) => json!({"op": "insert_light", "name": new.name, "light": new.json()}),
+            Operation::RemoveLight { light } => json!({"op": "remove_light", "light": light}),
+            Operation::MoveLight { light, position, direction } => {
+                let mut edit = json!({"op": "move_light", "light": light});
+                set(&mut edit, "position", position.map(|point| json!(point.0)));
+                set(&mut edit, "direction", direction.map(|point| json!(point.0)));
+                edit
+            }
+        }
+    }
+}
+
+impl NewLight {
+    fn json(&self) -> Value {
+        let mut light = json!({"kind": self.kind, "color": self.color.0, "intensity": self.intensity});
+        set(&mut light, "position", self.position.map(|point| json!(point.0)));
+        set(&mut light, "direction", self.direction.map(|point| json!(point.0)));
+        set(&mut light, "range", self.range.map(|range| json!(range)));
+        set(&mut light, "inner_cone_angle", self.inner_cone.map(|angle| json!(angle.to_radians())));
+        set(&mut light, "outer_cone_angle", self.outer_cone.map(|angle| json!(angle.to_radians())));
+        light
+    }
+}
+
+/// Sets a field where there is a value.
+pub(super) fn set(object: &mut Value, field: &str, value: Option<Value>) {
+    if let Some(value) = value {
+        object[field] = value;
+    }
+}

@@ -1,0 +1,138 @@
+//! `rebake pull`: save a light map.
+
+use std::fs::File;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+
+use super::super::ui;
+use super::{ServerArgs, interruptible};
+
+const AFTER_HELP: &str = "\
+The ending of the file chooses the format:
+  .glb   the subdivided mesh, the light map as float COLOR_0
+  .exr   the values alone, 32-bit float
+  .rbkd  the delta format, from version 0
+A file is replaced only when the new one is complete.";
+
+/// Arguments of `rebake pull`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = AFTER_HELP)]
+pub(in super::super) struct PullArgs {
+    /// Id of the scene
+    scene: String,
+    #[command(flatten)]
+    server: ServerArgs,
+    /// File to write
+    #[arg(short, long, value_name = "OUT.{glb,exr,rbkd}", value_parser = output_file)]
+    output: PathBuf,
+    /// One layer of the light map instead of all, e.g. `direct` or `indirect`
+    #[arg(long)]
+    layer: Option<String>,
+}
+
+/// The API's format for a file's ending.
+fn format_of(path: &Path) -> Option<&'static str> {
+    match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
+        "glb" => Some("glb"),
+        "exr" => Some("exr"),
+        "rbkd" => Some("raw"),
+        _ => None,
+    }
+}
+
+fn output_file(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    match format_of(&path) {
+        Some(_) => Ok(path),
+        None => Err("the file has to end in .glb, .exr or .rbkd".to_owned()),
+    }
+}
+
+/// Saves the light map.
+pub(in super::super) async fn pull(args: PullArgs) -> anyhow::Result<()> {
+    let client = args.server.client()?;
+    let format = format_of(&args.output).context("the file has to end in .glb, .exr or .rbkd")?;
+    let work = async {
+        let mut response = client.lightmap(&args.scene, format, args.layer.as_deref()).await?;
+        let version = response.headers().get("etag").and_then(|tag| tag.to_str().ok()).unwrap_or("?").to_owned();
+        let spinner = ui::spinner("pull");
+        let mut out = Replacement::begin(&args.output)?;
+        while let Some(chunk) = response.chunk().await.context("the connection was lost")? {
+            out.write(&chunk)?;
+            spinner.set_message(ui::bytes(out.bytes));
+        }
+        spinner.finish_and_clear();
+        let bytes = out.finish()?;
+        ui::note(&format!("{}: version {version}, {}", args.output.display(), ui::bytes(bytes)));
+        Ok(())
+    };
+    interruptible(work, "").await
+}
+
+/// A file that takes the place of another only when it is complete.
+pub(in super::super) struct Replacement {
+    target: PathBuf,
+    part: PathBuf,
+    file: File,
+    bytes: u64,
+    finished: bool,
+}
+
+impl Replacement {
+    /// Opens the new file beside the one it will replace.
+    pub(in super::super) fn begin(target: &Path) -> anyhow::Result<Replacement> {
+        let mut part = target.as_os_str().to_owned();
+        part.push(".part");
+        let part = PathBuf::from(part);
+        let file = File::create(&part).with_context(|| format!("cannot write {}", target.display()))?;
+        Ok(Replacement { target: target.to_owned(), part, file, bytes: 0, finished: false })
+    }
+
+    /// Appends to the new file.
+    pub(in super::super) fn write(&mut self, bytes: &[u8]) -> anyhow::Result<()> {
+        self.file.write_all(bytes).with_context(|| format!("cannot write {}", self.part.display()))?;
+        self.bytes += bytes.len() as u64;
+        Ok(())
+    }
+
+    /// Puts the new file in place; answers its size.
+    pub(in super::super) fn finish(mut self) -> anyhow::Result<u64> {
+        std::fs::rename(&self.part, &self.target).with_context(|| format!("cannot write {}", self.target.display()))?;
+        self.finished = true;
+        Ok(self.bytes)
+    }
+}
+
+impl Drop for Replacement {
+    fn drop(&mut self) {
+        if !self.finished {
+            // Half a file is of no use to anyone; if it cannot be removed either, there is nothing left to do.
+            let _ = std::fs::remove_file(&self.part);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_is_replaced_whole_or_not_at_all() {
+        let dir = std::env::temp_dir().join(format!("rebake-pull-{}", std::process::id()));
+        std::fs::create_dir_all(&dir).unwrap();
+        let target = dir.join("map.exr");
+        std::fs::write(&target, "old").unwrap();
+        let mut half = Replacement::begin(&target).unwrap();
+        half.write(b"ne").unwrap();
+        drop(half);
+        assert_eq!(std::fs::read(&target).unwrap(), b"old");
+        let mut whole = Replacement::begin(&target).unwrap();
+        whole.write(b"new").unwrap();
+        assert_eq!(whole.finish().unwrap(), 3);
+        assert_eq!(std::fs::read(&target).unwrap(), b"new");
+        assert_eq!(std::fs::read_dir(&dir).unwrap().count(), 1);
+        std::fs::remove_dir_all(&dir).unwrap();
+    }
+}

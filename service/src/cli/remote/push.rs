@@ -1,0 +1,84 @@
+//! `rebake push`: upload and bake.
+
+use std::path::PathBuf;
+
+use rebake::client::types::{NewScene, Scene};
+
+use super::super::ui;
+use super::super::values::{Rgb, positive};
+use super::{ServerArgs, interruptible, note_done, read_file, wait_for_job};
+
+const AFTER_HELP: &str = "\
+Prints the id of the new scene on standard output, all else on standard error:
+  ID=$(rebake push room.glb --spacing 0.1 --wait)
+  rebake pull $ID -o room.exr";
+
+/// Arguments of `rebake push`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = AFTER_HELP)]
+pub(in super::super) struct PushArgs {
+    /// Scene to upload: a binary glTF file
+    #[arg(value_name = "SCENE.glb")]
+    file: PathBuf,
+    #[command(flatten)]
+    server: ServerArgs,
+    /// Name of the scene [default: the file's]
+    #[arg(long)]
+    name: Option<String>,
+    /// Largest distance between neighbouring elements, metres [default: from the scene's size]
+    #[arg(long, value_name = "METRES", value_parser = positive)]
+    spacing: Option<f64>,
+    /// What the light map holds: all light, or only what has bounced
+    #[arg(long, value_parser = ["full", "indirect"])]
+    mode: Option<String>,
+    /// Constant radiance from outside, linear RGB [default: black]
+    #[arg(long, value_name = "R,G,B")]
+    environment: Option<Rgb>,
+    /// Upload only
+    #[arg(long, conflicts_with = "wait")]
+    no_bake: bool,
+    /// Return when the bake is done
+    #[arg(long)]
+    wait: bool,
+}
+
+/// Uploads a scene and starts its bake.
+pub(in super::super) async fn push(args: PushArgs) -> anyhow::Result<()> {
+    let client = args.server.client()?;
+    let glb = read_file(&args.file)?;
+    let new = NewScene {
+        name: args.name.or_else(|| NewScene::name_of(&args.file)),
+        spacing: args.spacing.map(|spacing| spacing as f32),
+        mode: args.mode,
+        environment: args.environment.map(|rgb| rgb.0.map(|x| x as f32)),
+        bake: args.no_bake.then_some(false),
+    };
+    let spinner = ui::spinner("upload");
+    let created = interruptible(async { Ok(client.create_scene(glb, &new).await?) }, "").await;
+    spinner.finish_and_clear();
+    let scene = created?;
+    note_scene(&scene);
+    ui::out(&scene.id)?;
+    if let (true, Some(job)) = (args.wait, scene.job_id()) {
+        let wait = async {
+            let job = client.job(job).await?;
+            wait_for_job(&client, &job, |_| ()).await
+        };
+        note_done(&interruptible(wait, ": the bake goes on at the service").await?);
+    }
+    Ok(())
+}
+
+fn note_scene(scene: &Scene) {
+    ui::note(&format!(
+        "{}: {} objects, {} lights, {} elements, {}",
+        scene.name.as_deref().unwrap_or(&scene.id),
+        ui::count(scene.objects.len() as u64),
+        ui::count(scene.lights.len() as u64),
+        ui::count(scene.elements),
+        ui::bytes(scene.memory_bytes),
+    ));
+    for warning in &scene.warnings {
+        ui::note(&format!("warning: {warning}"));
+    }
+}

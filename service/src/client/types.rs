@@ -1,0 +1,173 @@
+//! What the service answers, as far as this client reads it. Fields it does not know are passed over.
+
+use std::path::Path;
+
+use serde::Deserialize;
+
+/// How to upload a scene. What is absent is the service's to choose.
+#[derive(Clone, Debug, Default)]
+pub struct NewScene {
+    /// A name for people.
+    pub name: Option<String>,
+    /// Largest distance between neighbouring elements, metres.
+    pub spacing: Option<f32>,
+    /// `full` or `indirect`.
+    pub mode: Option<String>,
+    /// Constant radiance from outside.
+    pub environment: Option<[f32; 3]>,
+    /// `false`: upload only.
+    pub bake: Option<bool>,
+}
+
+impl NewScene {
+    pub(super) fn query(&self) -> Vec<(&'static str, String)> {
+        let environment = self.environment.map(|[r, g, b]| format!("{r},{g},{b}"));
+        [
+            ("name", self.name.clone()),
+            ("spacing", self.spacing.map(|spacing| spacing.to_string())),
+            ("mode", self.mode.clone()),
+            ("environment", environment),
+            ("bake", self.bake.map(|bake| bake.to_string())),
+        ]
+        .into_iter()
+        .filter_map(|(key, value)| value.map(|value| (key, value)))
+        .collect()
+    }
+
+    /// The file's name without its ending, as a scene's name.
+    pub fn name_of(path: &Path) -> Option<String> {
+        path.file_stem().map(|stem| stem.to_string_lossy().into_owned())
+    }
+}
+
+/// A scene.
+#[derive(Clone, Debug, Deserialize)]
+pub struct Scene {
+    /// Its id.
+    pub id: String,
+    /// Its name.
+    #[serde(default)]
+    pub name: Option<String>,
+    /// Version of its light map.
+    #[serde(default)]
+    pub version: u64,
+    /// Elements of its light map.
+    #[serde(default, alias = "element_count")]
+    pub elements: u64,
+    /// Memory in bytes.
+    #[serde(default)]
+    pub memory_bytes: u64,
+    /// Its objects.
+    #[serde(default)]
+    pub objects: Vec<Object>,
+    /// Its lights.
+    #[serde(default)]
+    pub lights: Vec<Light>,
+    /// What the file asked for and did not get.
+    #[serde(default)]
+    pub warnings: Vec<String>,
+    /// The current job, or its id.
+    #[serde(default, alias = "current_job")]
+    job: Option<serde_json::Value>,
+}
+
+impl Scene {
+    /// Id of the job that is queued or runs.
+    pub fn job_id(&self) -> Option<&str> {
+        let job = self.job.as_ref()?;
+        job.as_str().or_else(|| job["id"].as_str())
+    }
+}
+
+/// An object of a scene.
+#[derive(Clone, Debug, Deserialize)]
+pub struct Object {
+    /// Its name.
+    pub name: String,
+}
+
+/// A light of a scene.
+#[derive(Clone, Debug, Deserialize)]
+pub struct Light {
+    /// Its name.
+    pub name: String,
+}
+
+/// An uploaded asset.
+#[derive(Clone, Debug, Deserialize)]
+pub(super) struct Asset {
+    pub(super) asset: String,
+}
+
+/// Where a job stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum JobState {
+    /// Waits for its turn.
+    Queued,
+    /// Runs.
+    Running,
+    /// Done.
+    Succeeded,
+    /// Ended by an error.
+    Failed,
+    /// Ended by a client.
+    Canceled,
+}
+
+impl JobState {
+    /// Whether nothing more will happen.
+    pub fn has_ended(self) -> bool {
+        matches!(self, JobState::Succeeded | JobState::Failed | JobState::Canceled)
+    }
+}
+
+/// A job.
+#[derive(Clone, Debug, Deserialize)]
+pub struct Job {
+    /// Its id.
+    pub id: String,
+    /// Its scene.
+    #[serde(default)]
+    pub scene: String,
+    /// What it does, e.g. `bake`.
+    #[serde(default)]
+    pub kind: String,
+    /// Where it stands.
+    pub state: JobState,
+    /// How far it is.
+    #[serde(default)]
+    pub progress: JobProgress,
+    /// What went wrong.
+    #[serde(default)]
+    pub error: Option<serde_json::Value>,
+}
+
+impl Job {
+    /// What went wrong, in words.
+    pub fn error_text(&self) -> Option<String> {
+        let error = self.error.as_ref()?;
+        let text = error.as_str().or_else(|| error["detail"].as_str()).or_else(|| error["title"].as_str());
+        Some(text.map_or_else(|| error.to_string(), str::to_owned))
+    }
+}
+
+/// How far a job is.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(default)]
+pub struct JobProgress {
+    /// Part that is done, 0..=1, as far as can be told.
+    pub fraction: Option<f64>,
+    /// What is being done.
+    pub pass: Option<String>,
+    /// Samples per element so far.
+    pub samples_per_element: Option<u64>,
+    /// Time since the job started.
+    pub elapsed_ms: Option<u64>,
+    /// The stated error of the newest version.
+    pub estimated_rmse: Option<f64>,
+    /// Rays traced so far.
+    pub rays: Option<u64>,
+    /// The newest version of the job.
+    pub version: Option<u64>,
+}

@@ -1,0 +1,96 @@
+//! Threads that compute. Async threads only wait for them.
+//!
+//! Every job slot has a rayon pool of its own, beside one for building worlds (uploads, fresh trees) and one for short
+//! tasks (applying edits, encoding answers). In one shared pool a worker that waits for its part of one bake picks up the next task of the
+//! injector, which may be the whole of another bake, and sits on the first one until that is over: time budgets and
+//! cancels would depend on strangers. Between pools the operating system shares the cores fairly.
+
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+
+use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
+use tokio::sync::oneshot;
+
+/// A task panicked; the text is for the log and for `error` fields.
+#[derive(Clone, Debug, thiserror::Error)]
+#[error("internal error: {0}")]
+pub(crate) struct Panicked(pub(crate) String);
+
+/// The pools that are not a job's.
+#[derive(Clone, Debug)]
+pub(crate) struct Compute {
+    short: Arc<ThreadPool>,
+    builds: Arc<ThreadPool>,
+}
+
+impl Compute {
+    pub(crate) fn new(threads: usize) -> Result<Compute, ThreadPoolBuildError> {
+        Ok(Compute {
+            short: Arc::new(build_pool("short", threads)?),
+            builds: Arc::new(build_pool("build", threads)?),
+        })
+    }
+
+    /// Runs a task of milliseconds and waits for it without blocking the async thread. A caller that goes away leaves
+    /// the task to its end.
+    pub(crate) async fn run<T, F>(&self, task: F) -> Result<T, Panicked>
+    where
+        T: Send + 'static,
+        F: FnOnce() -> T + Send + 'static,
+    {
+        run_on(&self.short, task).await
+    }
+
+    /// Like [`Compute::run`], for tasks that may take seconds.
+    pub(crate) async fn build<T, F>(&self, task: F) -> Result<T, Panicked>
+    where
+        T: Send + 'static,
+        F: FnOnce() -> T + Send + 'static,
+    {
+        run_on(&self.builds, task).await
+    }
+
+    /// Runs a task that may take seconds; nobody waits for it.
+    pub(crate) fn spawn(&self, task: impl FnOnce() + Send + 'static) {
+        self.builds.spawn(move || {
+            if let Err(panic) = catching(task) {
+                tracing::error!(%panic, "background task");
+            }
+        });
+    }
+}
+
+async fn run_on<T, F>(pool: &ThreadPool, task: F) -> Result<T, Panicked>
+where
+    T: Send + 'static,
+    F: FnOnce() -> T + Send + 'static,
+{
+    let (send, receive) = oneshot::channel();
+    let span = tracing::Span::current();
+    pool.spawn(move || {
+        let _in_span = span.entered();
+        // The receiver may have gone away with its connection: nobody waits for the result then.
+        let _ = send.send(catching(task));
+    });
+    receive.await.unwrap_or_else(|_| Err(Panicked("the task was dropped".to_owned())))
+}
+
+/// A pool whose threads are named `rebake-<name>-<n>`.
+pub(crate) fn build_pool(name: &str, threads: usize) -> Result<ThreadPool, ThreadPoolBuildError> {
+    let name = name.to_owned();
+    ThreadPoolBuilder::new().num_threads(threads).thread_name(move |n| format!("rebake-{name}-{n}")).build()
+}
+
+/// Runs `task`; a panic becomes an error.
+pub(crate) fn catching<T>(task: impl FnOnce() -> T) -> Result<T, Panicked> {
+    catch_unwind(AssertUnwindSafe(task)).map_err(|payload| Panicked(panic_text(&*payload)))
+}
+
+fn panic_text(payload: &(dyn Any + Send)) -> String {
+    payload
+        .downcast_ref::<&str>()
+        .map(|text| (*text).to_owned())
+        .or_else(|| payload.downcast_ref::<String>().cloned())
+        .unwrap_or_else(|| "a panic without a text".to_owned())
+}

@@ -1,0 +1,164 @@
+//! Every limit of the service in one place. Nothing that a client can make grow is without one.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::engine::{CoreEngine, Engine};
+
+/// How the service runs.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// Compute threads of one running job, and of the short tasks (uploads, edits, encoding); 0: one per core.
+    pub threads: usize,
+    /// Jobs that run at the same time, each of another scene.
+    pub job_slots: usize,
+    /// Sizes and counts.
+    pub limits: Limits,
+    /// Waits.
+    pub timeouts: Timeouts,
+    /// What a client gets that does not ask for anything else.
+    pub defaults: Defaults,
+    /// What computes light: the engine, or a stand-in for tests.
+    pub engine: Arc<dyn Engine>,
+}
+
+/// Sizes and counts. One more is refused, never queued without end.
+#[derive(Clone, Debug)]
+pub struct Limits {
+    /// Bytes of an uploaded scene or asset.
+    pub upload_bytes: usize,
+    /// Bytes of an edit request.
+    pub edit_bytes: usize,
+    /// Uploads that are read and built at the same time; more wait.
+    pub concurrent_uploads: usize,
+    /// Open connections; more wait in the listener's backlog.
+    pub connections: usize,
+    /// Open event and delta streams.
+    pub streams: usize,
+    /// Triangles of an uploaded file.
+    pub triangles: usize,
+    /// Triangles of a scene after subdivision.
+    pub subdivided_triangles: usize,
+    /// Elements of a scene.
+    pub elements: usize,
+    /// Scenes.
+    pub scenes: usize,
+    /// Assets.
+    pub assets: usize,
+    /// Bytes of all assets, as uploaded.
+    pub asset_bytes: usize,
+    /// Edits of one request.
+    pub edits_per_request: usize,
+    /// Queued jobs of one scene.
+    pub queued_per_scene: usize,
+    /// Queued jobs in all.
+    pub queued: usize,
+    /// Finished jobs that are remembered.
+    pub finished_jobs: usize,
+    /// Idempotency keys remembered per scene.
+    pub idempotency_keys: usize,
+    /// Events remembered per job and per scene, for `Last-Event-ID`.
+    pub events: usize,
+    /// Canceled edits of a scene whose light may be outstanding; past that the next job bakes afresh.
+    pub unlit_edits: usize,
+    /// Bytes of a delta frame; larger snapshots travel in several.
+    pub frame_bytes: usize,
+    /// Entries of one page, at most.
+    pub page: usize,
+    /// Characters of a name.
+    pub name_chars: usize,
+    /// Samples per element that a budget may ask for.
+    pub samples_per_element: u32,
+    /// Seconds that a budget may ask for.
+    pub max_seconds: f64,
+}
+
+/// Waits.
+#[derive(Clone, Debug)]
+pub struct Timeouts {
+    /// For the head of a request.
+    pub header: Duration,
+    /// For a request's whole body.
+    pub body: Duration,
+    /// For a place among the uploads.
+    pub upload_slot: Duration,
+    /// Between two comments on a silent event stream.
+    pub keep_alive: Duration,
+    /// From the shutdown signal to the end of the last connection.
+    pub shutdown: Duration,
+    /// Between two progress events of one job.
+    pub progress: Duration,
+}
+
+/// What a client gets that does not ask for anything else.
+#[derive(Clone, Debug)]
+pub struct Defaults {
+    /// Samples per element of a bake.
+    pub bake_samples: u32,
+    /// Samples per element of an edit.
+    pub edit_samples: u32,
+    /// Entries of one page.
+    pub page: usize,
+}
+
+impl Default for Config {
+    fn default() -> Config {
+        Config {
+            threads: 0,
+            job_slots: 2,
+            limits: Limits::default(),
+            timeouts: Timeouts::default(),
+            defaults: Defaults::default(),
+            engine: Arc::new(CoreEngine),
+        }
+    }
+}
+
+impl Default for Limits {
+    fn default() -> Limits {
+        Limits {
+            upload_bytes: 512 << 20,
+            edit_bytes: 1 << 20,
+            concurrent_uploads: 2,
+            connections: 1024,
+            streams: 512,
+            triangles: 20_000_000,
+            subdivided_triangles: 40_000_000,
+            elements: 20_000_000,
+            scenes: 64,
+            assets: 1024,
+            asset_bytes: 4 << 30,
+            edits_per_request: 256,
+            queued_per_scene: 64,
+            queued: 512,
+            finished_jobs: 1000,
+            idempotency_keys: 1024,
+            events: 256,
+            unlit_edits: 64,
+            frame_bytes: 4 << 20,
+            page: 200,
+            name_chars: 256,
+            samples_per_element: 65_536,
+            max_seconds: 86_400.0,
+        }
+    }
+}
+
+impl Default for Timeouts {
+    fn default() -> Timeouts {
+        Timeouts {
+            header: Duration::from_secs(15),
+            body: Duration::from_secs(300),
+            upload_slot: Duration::from_secs(60),
+            keep_alive: Duration::from_secs(15),
+            shutdown: Duration::from_secs(10),
+            progress: Duration::from_millis(100),
+        }
+    }
+}
+
+impl Default for Defaults {
+    fn default() -> Defaults {
+        Defaults { bake_samples: 128, edit_samples: 64, page: 50 }
+    }
+}

@@ -1,0 +1,182 @@
+//! The only module that calls the engine: parses, builds worlds, bakes, updates, exports.
+//!
+//! [`Engine`] is the seam for tests: a stand-in can stop at a round, fail or panic, on real worlds.
+
+use std::fmt::Debug;
+use std::sync::Arc;
+
+use glam::{DVec3, Vec3};
+use rebake_core::export::{EXR_WIDTH, write_exr};
+pub use rebake_core::scene::{LoadError, Scene};
+use rebake_core::scene::{Light, LightKind, LoadLimits, load_glb};
+pub use rebake_core::{Budget, Canceled, Edit, EditError, EditErrorKind, LightMap, Observer, Progress};
+pub use rebake_core::{Transition, World, WorldError};
+
+use crate::config::Limits;
+
+/// Name of the light that the upload's `environment` makes.
+pub const ENVIRONMENT: &str = "environment";
+
+/// What computes light for a job. Called on the threads of a job slot.
+pub trait Engine: Send + Sync + Debug {
+    /// From scratch.
+    fn bake(&self, world: &World, budget: &Budget, seed: u64, observer: &dyn Observer)
+    -> Result<Arc<LightMap>, Canceled>;
+
+    /// From the map of `transition.before` to that of `transition.after`.
+    fn update(&self, work: &Update<'_>, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled>;
+}
+
+/// What a client looks at. World space, metres; angles in radians.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Focus {
+    /// What a camera sees.
+    Camera {
+        /// Where it stands.
+        eye: DVec3,
+        /// A point it looks at.
+        target: DVec3,
+        /// Upward, roughly.
+        up: DVec3,
+        /// Vertical field of view.
+        fov_y: f32,
+        /// Width ÷ height of the picture.
+        aspect: f32,
+    },
+    /// What lies in a sphere.
+    Sphere {
+        /// Its middle.
+        point: DVec3,
+        /// Its radius.
+        radius: f32,
+    },
+}
+
+/// The work of an edit job.
+#[derive(Clone, Copy)]
+pub struct Update<'a> {
+    /// From which world to which.
+    pub transition: &'a Transition,
+    /// Right for `transition.before`.
+    pub map: &'a LightMap,
+    /// When to stop.
+    pub budget: &'a Budget,
+    /// What comes first.
+    pub focus: Option<&'a Focus>,
+    /// Seed of the random numbers.
+    pub seed: u64,
+}
+
+/// The real thing.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct CoreEngine;
+
+impl Engine for CoreEngine {
+    fn bake(
+        &self,
+        world: &World,
+        budget: &Budget,
+        seed: u64,
+        observer: &dyn Observer,
+    ) -> Result<Arc<LightMap>, Canceled> {
+        rebake_core::bake(world, budget, seed, observer)
+    }
+
+    fn update(&self, work: &Update<'_>, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
+        // The engine has no order of importance yet: `work.focus` waits for it.
+        rebake_core::update(work.transition, work.map, work.budget, work.seed, observer)
+    }
+}
+
+/// Reads an uploaded file.
+pub(crate) fn load(glb: &[u8], limits: &Limits) -> Result<Scene, LoadError> {
+    let limits = LoadLimits {
+        max_bytes: limits.upload_bytes,
+        max_triangles: limits.triangles,
+        ..LoadLimits::default()
+    };
+    load_glb(glb, &limits)
+}
+
+/// Adds constant radiance from outside; false where the scene has a light of that name.
+pub(crate) fn add_environment(scene: &mut Scene, radiance: Vec3) -> bool {
+    if scene.lights.iter().any(|light| light.name == ENVIRONMENT) {
+        return false;
+    }
+    scene.lights.push(Light {
+        name: ENVIRONMENT.to_owned(),
+        kind: LightKind::Environment,
+        color: radiance,
+        intensity: 1.0,
+    });
+    true
+}
+
+/// Lays out elements and builds trees: seconds for large scenes.
+pub(crate) fn build(scene: Scene, spacing: Option<f32>, limits: &Limits) -> Result<World, WorldError> {
+    let options = rebake_core::WorldOptions {
+        spacing,
+        max_elements: limits.elements,
+        max_triangles: limits.subdivided_triangles,
+    };
+    World::new(scene, &options)
+}
+
+/// The old map with the slots of the new world.
+pub(crate) fn carry_over(transition: &Transition, map: &LightMap) -> Arc<LightMap> {
+    Arc::new(transition.carry_over(map))
+}
+
+/// One object, as clients see it.
+pub(crate) struct ObjectSummary {
+    pub(crate) index: u32,
+    pub(crate) name: String,
+    pub(crate) first_element: u32,
+    pub(crate) elements: u32,
+    pub(crate) with_back: bool,
+    pub(crate) triangles: u32,
+    pub(crate) bounds: (DVec3, DVec3),
+    pub(crate) albedo: Vec3,
+}
+
+/// All objects of a world.
+pub(crate) fn objects(world: &World) -> impl Iterator<Item = ObjectSummary> + '_ {
+    world.objects().map(|object| ObjectSummary {
+        index: object.index,
+        name: object.name.to_owned(),
+        first_element: object.first_element,
+        elements: object.element_count,
+        with_back: object.with_back,
+        triangles: object.triangle_count,
+        bounds: object.bounds,
+        albedo: object.albedo,
+    })
+}
+
+/// Bytes of one element record of [`element_records`].
+pub(crate) const ELEMENT_BYTES: usize = 32;
+
+/// Per slot: world-space position, normal, area, object index; little-endian.
+pub(crate) fn element_records(world: &World) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(world.slots() * ELEMENT_BYTES);
+    let origin = world.scene.origin;
+    for (slot, object) in world.object_indices().into_iter().enumerate() {
+        let position = (world.positions()[slot].as_dvec3() + origin).as_vec3();
+        for number in position.to_array().into_iter().chain(world.normals()[slot].to_array()) {
+            bytes.extend_from_slice(&number.to_le_bytes());
+        }
+        bytes.extend_from_slice(&world.areas()[slot].to_le_bytes());
+        bytes.extend_from_slice(&object.to_le_bytes());
+    }
+    bytes
+}
+
+/// The subdivided mesh with the values as vertex colours, as binary glTF.
+pub(crate) fn lightmap_glb(world: &World, values: &[Vec3]) -> Result<Vec<u8>, String> {
+    rebake_core::export::lightmap_glb(world, values).map_err(|e| e.to_string())
+}
+
+/// The values as an OpenEXR picture, with what they are in its header.
+pub(crate) fn lightmap_exr(values: &[Vec3], about: &[(&str, &str)]) -> Result<Vec<u8>, String> {
+    write_exr(&[("", values)], EXR_WIDTH, about).map_err(|error| error.to_string())
+}

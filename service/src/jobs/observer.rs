@@ -1,0 +1,262 @@
+//! The service's side of a running job: time, cancel, progress, snapshots.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use super::queue::{JobNumber, JobProgress};
+use crate::engine::{LightMap, Observer, Progress};
+use crate::state::App;
+use crate::store::lighting::{Lit, Sequence};
+use crate::store::scenes::SceneEntry;
+
+/// When a job stops; the first bound that is reached ends it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct JobBudget {
+    pub(crate) samples_per_element: u32,
+    pub(crate) max_seconds: Option<f64>,
+    pub(crate) target_rmse: Option<f32>,
+}
+
+/// Decides how large a round may be so that a job ends on time.
+///
+/// The first round is small, because nothing is known about its speed; every later one is planned from the speed of
+/// the one before. A job does at least one round: without it there is nothing to show for the time.
+#[derive(Debug, Default)]
+pub(crate) struct Pace {
+    round_started_secs: f64,
+    planned: u32,
+}
+
+impl Pace {
+    const FIRST_ROUND: u32 = 4;
+
+    pub(crate) fn plan(&mut self, now_secs: f64, max_seconds: f64, proposed: u32) -> u32 {
+        let samples = if self.planned == 0 {
+            proposed.min(Pace::FIRST_ROUND)
+        } else {
+            let secs_per_sample = (now_secs - self.round_started_secs).max(1e-9) / f64::from(self.planned);
+            let room = (max_seconds - now_secs) / secs_per_sample;
+            // Rounds do not get faster; `as` saturates, negative rooms become 0.
+            proposed.min(room as u32)
+        };
+        self.round_started_secs = now_secs;
+        self.planned = samples;
+        samples
+    }
+}
+
+/// How much of the budget is used: the bound that is nearest to its end counts.
+pub(crate) fn fraction(budget: &JobBudget, progress: &Progress, elapsed_secs: f64) -> f64 {
+    // A round that is finished counts among the samples already.
+    let part = if progress.round_fraction < 1.0 { f64::from(progress.round_fraction.max(0.0)) } else { 0.0 };
+    let running = f64::from(progress.round_samples) * part;
+    let samples = (f64::from(progress.samples_per_element) + running) / f64::from(budget.samples_per_element.max(1));
+    let time = budget.max_seconds.map_or(0.0, |max| elapsed_secs / max.max(1e-9));
+    // The error falls with the root of the samples.
+    let error = match (budget.target_rmse, progress.estimated_rmse) {
+        (Some(target), Some(now)) if now > 0.0 => f64::from(target / now).powi(2),
+        _ => 0.0,
+    };
+    let fraction = samples.max(time).max(error);
+    if fraction.is_finite() { fraction.clamp(0.0, 1.0) } else { 0.0 }
+}
+
+/// Observes one job, one transition (or bake) after the other.
+pub(crate) struct JobObserver<'a> {
+    pub(crate) app: &'a Arc<App>,
+    pub(crate) scene: &'a Arc<SceneEntry>,
+    pub(crate) job: JobNumber,
+    pub(crate) budget: JobBudget,
+    pub(crate) cancel: &'a AtomicBool,
+    pub(crate) started: Instant,
+    /// What the maps of the work under way are right for.
+    pub(crate) sequence: Sequence,
+    state: Mutex<State>,
+    /// There is a complete map, so time may end the work.
+    complete: AtomicBool,
+}
+
+#[derive(Default)]
+struct State {
+    pace: Pace,
+    latest: Option<Arc<LightMap>>,
+    version: Option<u64>,
+    reported: Option<(Instant, &'static str)>,
+}
+
+impl<'a> JobObserver<'a> {
+    pub(crate) fn new(
+        app: &'a Arc<App>,
+        scene: &'a Arc<SceneEntry>,
+        job: JobNumber,
+        budget: JobBudget,
+        cancel: &'a AtomicBool,
+    ) -> JobObserver<'a> {
+        JobObserver {
+            app,
+            scene,
+            job,
+            budget,
+            cancel,
+            started: Instant::now(),
+            sequence: 0,
+            state: Mutex::default(),
+            complete: AtomicBool::new(false),
+        }
+    }
+
+    /// From here on maps are right for `sequence`.
+    pub(crate) fn begin(&mut self, sequence: Sequence) {
+        self.sequence = sequence;
+        self.complete = AtomicBool::new(false);
+        let mut state = self.lock();
+        state.latest = None;
+        state.pace = Pace::default();
+    }
+
+    /// The last complete map since [`JobObserver::begin`].
+    pub(crate) fn take_latest(&self) -> Option<Arc<LightMap>> {
+        self.lock().latest.take()
+    }
+
+    /// A client asked for the end.
+    pub(crate) fn cancel_requested(&self) -> bool {
+        self.cancel.load(Ordering::Relaxed)
+    }
+
+    /// Tells of a version that was published without a round.
+    pub(crate) fn shown(&self, version: u64) {
+        self.lock().version = Some(version);
+    }
+
+    fn elapsed(&self) -> Duration {
+        self.started.elapsed()
+    }
+
+    /// The time is over by more than planning can be blamed for, and there is a map to show.
+    fn is_overdue(&self) -> bool {
+        const GRACE: f64 = 1.1;
+        self.complete.load(Ordering::Relaxed)
+            && self.budget.max_seconds.is_some_and(|max| self.elapsed().as_secs_f64() > max * GRACE)
+    }
+
+    fn report(&self, progress: &Progress, version: Option<u64>) {
+        let elapsed = self.elapsed();
+        let report = JobProgress {
+            fraction: fraction(&self.budget, progress, elapsed.as_secs_f64()),
+            pass: Some(progress.pass.as_str()),
+            samples_per_element: progress.samples_per_element,
+            elapsed_ms: elapsed.as_millis() as u64,
+            estimated_rmse: progress.estimated_rmse,
+            rays: progress.rays,
+            version,
+        };
+        self.app.report(self.job, report);
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Observer for JobObserver<'_> {
+    fn canceled(&self) -> bool {
+        self.cancel_requested() || self.is_overdue()
+    }
+
+    fn progress(&self, progress: &Progress) {
+        let version = {
+            let mut state = self.lock();
+            let pass = progress.pass.as_str();
+            let is_news = state.reported.is_none_or(|(at, last_pass)| {
+                last_pass != pass || at.elapsed() >= self.app.config.timeouts.progress
+            });
+            if !is_news {
+                return;
+            }
+            state.reported = Some((Instant::now(), pass));
+            state.version
+        };
+        self.report(progress, version);
+    }
+
+    fn plan_round(&self, so_far: &Progress, proposed: u32) -> u32 {
+        self.progress(so_far);
+        match self.budget.max_seconds {
+            None => proposed,
+            Some(max) => self.lock().pace.plan(self.elapsed().as_secs_f64(), max, proposed),
+        }
+    }
+
+    fn snapshot(&self, map: &Arc<LightMap>, progress: &Progress) {
+        let published = self.scene.snapshot(self.sequence, Lit { map, estimated_rmse: progress.estimated_rmse });
+        {
+            let mut state = self.lock();
+            state.version = Some(published.version);
+            state.reported = Some((Instant::now(), progress.pass.as_str()));
+            // Before the first finished round the map is only carried over.
+            if progress.samples_per_element > 0 {
+                state.latest = Some(map.clone());
+                self.complete.store(true, Ordering::Relaxed);
+            }
+        }
+        self.report(progress, Some(published.version));
+        self.app.tell_snapshot(self.scene, Some(self.job), &published, Some(progress));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::engine::Progress;
+
+    /// A job of doubling rounds at a constant speed with a fixed cost per round: when does it end?
+    fn ends_at(max_seconds: f64, secs_per_sample: f64, secs_per_round: f64) -> f64 {
+        let (mut pace, mut now, mut done) = (Pace::default(), 0.0, 0u32);
+        loop {
+            let samples = pace.plan(now, max_seconds, done.max(1));
+            if samples == 0 {
+                return now;
+            }
+            now += secs_per_round + f64::from(samples) * secs_per_sample;
+            done += samples;
+        }
+    }
+
+    #[test]
+    fn time_budgets_are_met() {
+        for max in [1.0, 5.0, 60.0] {
+            for rate in [0.001, 0.01, 0.1] {
+                let end = ends_at(max, rate, rate * 0.5);
+                assert!(end <= max * 1.1, "{end} s of {max} s at {rate} s per sample");
+                assert!(end >= max * 0.7, "{end} s of {max} s at {rate} s per sample");
+            }
+        }
+    }
+
+    #[test]
+    fn at_least_one_round_is_done() {
+        assert!(ends_at(0.01, 3.0, 0.0) <= 12.0);
+        assert!(ends_at(0.01, 3.0, 0.0) > 0.0);
+    }
+
+    #[test]
+    fn the_nearest_bound_counts() {
+        let budget = JobBudget { samples_per_element: 100, max_seconds: Some(10.0), target_rmse: Some(0.1) };
+        let mut progress = Progress {
+            pass: rebake_core::Pass::Direct,
+            samples_per_element: 10,
+            round_samples: 10,
+            round_fraction: 0.5,
+            rays: 0,
+            estimated_rmse: None,
+        };
+        assert_eq!(fraction(&budget, &progress, 1.0), 0.15);
+        assert_eq!(fraction(&budget, &progress, 5.0), 0.5);
+        progress.estimated_rmse = Some(0.125);
+        assert!((fraction(&budget, &progress, 1.0) - 0.64).abs() < 1e-6);
+        progress.estimated_rmse = Some(f32::NAN);
+        assert_eq!(fraction(&budget, &progress, 1.0), 0.15);
+    }
+}

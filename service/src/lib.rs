@@ -1,0 +1,19 @@
+//! The light-map update service: HTTP API, job queue, version store and the parts of its command line.
+//!
+//! Data goes one way: request → queue → update → version store → delta → client. `api` only unpacks, calls and wraps;
+//! `jobs` decides and runs; `store` keeps what was published; `engine` is the only module that computes light.
+//! Nothing but `server` and `api` knows HTTP, and no light is computed on an async thread.
+
+pub mod api;
+pub mod client;
+mod compute;
+pub mod config;
+pub mod engine;
+mod events;
+pub mod jobs;
+pub mod server;
+mod state;
+mod store;
+
+pub use config::Config;
+pub use server::run;

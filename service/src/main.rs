@@ -1,0 +1,9 @@
+//! `rebake`: the service, its demo, and the command line that talks to it.
+
+mod cli;
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    cli::run()
+}

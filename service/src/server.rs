@@ -1,0 +1,97 @@
+//! The running service: connections in, and an orderly end.
+
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
+use hyper_util::server::conn::auto::Builder;
+use hyper_util::server::graceful::{GracefulShutdown, Watcher};
+use hyper_util::service::TowerToHyperService;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+
+use crate::api;
+use crate::config::Config;
+use crate::state::{App, Phase};
+
+/// Serves on `listener` until `shutdown` is ready. Then: takes nothing new, cancels jobs (their last published version
+/// stays consistent), lets every stream send what is left, and returns within the time of `config`.
+///
+/// # Errors
+/// Where the compute threads cannot be started.
+pub async fn run(listener: TcpListener, config: Config, shutdown: impl Future<Output = ()>) -> io::Result<()> {
+    let app = App::new(config).map_err(io::Error::other)?;
+    let router = api::router(app.clone());
+    let connections = Arc::new(Semaphore::new(app.config.limits.connections));
+    let graceful = GracefulShutdown::new();
+    tracing::info!(address = ?listener.local_addr().ok(), "listening");
+    let mut shutdown = std::pin::pin!(shutdown);
+    loop {
+        let accepted = tokio::select! {
+            accepted = accept(&listener, &connections) => accepted,
+            () = &mut shutdown => break,
+        };
+        let Some((stream, permit)) = accepted else { continue };
+        tokio::spawn(connection(app.clone(), router.clone(), stream, permit, graceful.watcher()));
+    }
+    drop(listener);
+    close(&app, graceful).await;
+    Ok(())
+}
+
+/// The next connection, when there is room for it.
+async fn accept(listener: &TcpListener, room: &Arc<Semaphore>) -> Option<(TcpStream, OwnedSemaphorePermit)> {
+    // Acquiring before accepting leaves what is too much in the kernel's backlog.
+    let permit = room.clone().acquire_owned().await.ok()?;
+    match listener.accept().await {
+        Ok((stream, _)) => Some((stream, permit)),
+        Err(error) => {
+            // Out of file descriptors, most likely: trying again at once would only burn time.
+            tracing::warn!(%error, "accept");
+            tokio::time::sleep(Duration::from_millis(200)).await;
+            None
+        }
+    }
+}
+
+async fn connection(
+    app: Arc<App>,
+    router: axum::Router,
+    stream: TcpStream,
+    _permit: OwnedSemaphorePermit,
+    watcher: Watcher,
+) {
+    // Frames and events are small and wanted at once.
+    if let Err(error) = stream.set_nodelay(true) {
+        tracing::debug!(%error, "TCP_NODELAY");
+    }
+    let mut builder = Builder::new(TokioExecutor::new());
+    builder.http1().timer(TokioTimer::new()).header_read_timeout(app.config.timeouts.header);
+    builder.http2().timer(TokioTimer::new()).keep_alive_interval(app.config.timeouts.keep_alive);
+    let served = builder.serve_connection(TokioIo::new(stream), TowerToHyperService::new(router)).into_owned();
+    if let Err(error) = watcher.watch(served).await {
+        tracing::debug!(error = %error, "connection");
+    }
+}
+
+async fn close(app: &Arc<App>, graceful: GracefulShutdown) {
+    let limit = app.config.timeouts.shutdown;
+    tracing::info!(connections = graceful.count(), seconds = limit.as_secs_f32(), "closing");
+    app.phase.send_replace(Phase::Draining);
+    app.jobs.close(app);
+    let end_streams = async {
+        let mut running = app.jobs.watch_running();
+        // Streams end with whatever is published by then.
+        let idle = tokio::time::timeout(limit.mul_f32(0.8), running.wait_for(|running| *running == 0)).await;
+        if idle.is_err() {
+            tracing::warn!("jobs did not stop in time");
+        }
+        app.phase.send_replace(Phase::Closing);
+    };
+    let both = async { tokio::join!(graceful.shutdown(), end_streams) };
+    match tokio::time::timeout(limit, both).await {
+        Ok(_) => tracing::info!("closed"),
+        Err(_elapsed) => tracing::warn!("some connections did not end in time"),
+    }
+}

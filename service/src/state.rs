@@ -1,0 +1,103 @@
+//! What all requests and jobs share.
+
+use std::hash::{BuildHasher, Hasher, RandomState};
+use std::sync::Arc;
+
+use rayon::ThreadPoolBuildError;
+use tokio::sync::{Semaphore, watch};
+
+use crate::compute::Compute;
+use crate::config::Config;
+use crate::jobs::Jobs;
+use crate::store::assets::Assets;
+use crate::store::scenes::Scenes;
+use crate::store::{InMemory, Store};
+
+/// How far the end of the service is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Phase {
+    /// Takes requests.
+    Serving,
+    /// Takes no new work; running jobs are being stopped.
+    Draining,
+    /// Streams send what is left and end.
+    Closing,
+}
+
+/// The service's state.
+pub(crate) struct App {
+    pub(crate) config: Config,
+    pub(crate) ids: Ids,
+    pub(crate) compute: Compute,
+    pub(crate) jobs: Jobs,
+    pub(crate) scenes: Arc<Scenes>,
+    pub(crate) assets: Assets,
+    pub(crate) store: Arc<dyn Store>,
+    pub(crate) phase: watch::Sender<Phase>,
+    /// Uploads that are read and built.
+    pub(crate) uploads: Arc<Semaphore>,
+    /// Open event and delta streams.
+    pub(crate) streams: Arc<Semaphore>,
+}
+
+impl App {
+    pub(crate) fn new(config: Config) -> Result<Arc<App>, ThreadPoolBuildError> {
+        let limits = &config.limits;
+        Ok(Arc::new(App {
+            ids: Ids::new(),
+            compute: Compute::new(config.threads)?,
+            jobs: Jobs::new(&config)?,
+            scenes: Arc::new(Scenes::new()),
+            assets: Assets::new(limits.assets, limits.asset_bytes),
+            store: Arc::new(InMemory),
+            phase: watch::Sender::new(Phase::Serving),
+            uploads: Arc::new(Semaphore::new(limits.concurrent_uploads)),
+            streams: Arc::new(Semaphore::new(limits.streams)),
+            config,
+        }))
+    }
+
+    pub(crate) fn is_serving(&self) -> bool {
+        *self.phase.borrow() == Phase::Serving
+    }
+}
+
+/// Ids that clients see: a letter, a number, and a suffix of this life of the service, so that an id (and with it a
+/// version or an event id) that a client kept from an earlier life is unknown instead of meaning something else.
+#[derive(Clone, Debug)]
+pub(crate) struct Ids {
+    suffix: String,
+}
+
+impl Ids {
+    fn new() -> Ids {
+        const DIGITS: &[u8; 32] = b"0123456789abcdefghjkmnpqrstvwxyz";
+        // The standard library's hasher keys are random per process: enough for ids, which are no secrets.
+        let mut random = RandomState::new().build_hasher();
+        random.write_i128(jiff::Timestamp::now().as_nanosecond());
+        let bits = random.finish();
+        Ids { suffix: (0..6).map(|i| char::from(DIGITS[(bits >> (5 * i)) as usize & 31])).collect() }
+    }
+
+    pub(crate) fn scene(&self, number: u64) -> String {
+        format!("s{number}-{}", self.suffix)
+    }
+
+    pub(crate) fn job(&self, number: u64) -> String {
+        format!("j{number}-{}", self.suffix)
+    }
+
+    pub(crate) fn parse_scene(&self, id: &str) -> Option<u64> {
+        self.parse(id, 's')
+    }
+
+    pub(crate) fn parse_job(&self, id: &str) -> Option<u64> {
+        self.parse(id, 'j')
+    }
+
+    fn parse(&self, id: &str, letter: char) -> Option<u64> {
+        let (number, suffix) = id.strip_prefix(letter)?.split_once('-')?;
+        let canonical = !number.starts_with(['0', '+']) && suffix == self.suffix;
+        canonical.then(|| number.parse().ok()).flatten()
+    }
+}

@@ -1,0 +1,243 @@
+//! Scenes in memory.
+
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
+
+use jiff::Timestamp;
+use tokio::sync::watch;
+
+use super::lighting::{Lighting, Lit, Sequence, Work};
+use super::versions::{Mode, Published};
+use crate::engine::{LightMap, Transition, World};
+use crate::events::EventLog;
+use crate::jobs::queue::{JobNumber, SceneNumber};
+
+/// One scene.
+pub(crate) struct SceneEntry {
+    pub(crate) number: SceneNumber,
+    pub(crate) id: String,
+    pub(crate) name: String,
+    pub(crate) mode: Mode,
+    pub(crate) created_at: Timestamp,
+    pub(crate) events: Arc<EventLog>,
+    /// Edits are accepted one at a time, each against the world that those before it lead to.
+    pub(crate) head: Arc<tokio::sync::Mutex<Head>>,
+    lighting: Mutex<Lighting>,
+    published: watch::Sender<Arc<Published>>,
+    deleted: watch::Sender<bool>,
+}
+
+/// What the next edit is validated against.
+pub(crate) struct Head {
+    /// After all accepted edits.
+    pub(crate) world: World,
+    /// Accepted edit requests that changed something.
+    pub(crate) sequence: Sequence,
+    /// Jobs of this scene so far: seeds derive from it.
+    pub(crate) jobs: u64,
+    pub(crate) keys: IdempotencyKeys,
+}
+
+impl SceneEntry {
+    /// A scene without light.
+    pub(crate) fn new(new: NewScene, world: World, events: usize, keys: usize) -> SceneEntry {
+        let published = Published::black(world.clone(), new.mode);
+        let head = Head { world, sequence: 0, jobs: 0, keys: IdempotencyKeys::new(keys) };
+        SceneEntry {
+            number: new.number,
+            id: new.id,
+            name: new.name,
+            mode: new.mode,
+            created_at: new.created_at,
+            events: Arc::new(EventLog::new(events)),
+            head: Arc::new(tokio::sync::Mutex::new(head)),
+            lighting: Mutex::new(Lighting::new()),
+            published: watch::Sender::new(Arc::new(published)),
+            deleted: watch::Sender::new(false),
+        }
+    }
+
+    /// What clients see now.
+    pub(crate) fn published(&self) -> Arc<Published> {
+        self.published.borrow().clone()
+    }
+
+    /// Told of every new version; skips what it is too slow for.
+    pub(crate) fn watch_published(&self) -> watch::Receiver<Arc<Published>> {
+        self.published.subscribe()
+    }
+
+    /// Becomes true when the scene is deleted.
+    pub(crate) fn watch_deleted(&self) -> watch::Receiver<bool> {
+        self.deleted.subscribe()
+    }
+
+    pub(crate) fn is_deleted(&self) -> bool {
+        *self.deleted.borrow()
+    }
+
+    pub(crate) fn mark_deleted(&self) {
+        self.deleted.send_replace(true);
+    }
+
+    pub(crate) fn accept(&self, sequence: Sequence, transition: Transition) {
+        self.lighting().accept(sequence, transition);
+    }
+
+    pub(crate) fn unlit(&self) -> usize {
+        self.lighting().unlit()
+    }
+
+    /// Publishes the geometry up to `sequence`, with old light. The new version where that changed anything.
+    pub(crate) fn show(&self, sequence: Sequence) -> Option<Arc<Published>> {
+        let mut lighting = self.lighting();
+        let next = lighting.show(&self.published(), sequence)?;
+        Some(self.publish(next))
+    }
+
+    pub(crate) fn work(&self, max_unlit: usize) -> (Work, Sequence) {
+        let mut lighting = self.lighting();
+        let work = lighting.work(&self.published(), max_unlit);
+        (work, lighting.shown())
+    }
+
+    /// Publishes a map that is right for `sequence`.
+    pub(crate) fn snapshot(&self, sequence: Sequence, lit: Lit<'_>) -> Arc<Published> {
+        let lighting = self.lighting();
+        let next = lighting.snapshot(&self.published(), sequence, lit);
+        self.publish(next)
+    }
+
+    pub(crate) fn set_lit(&self, sequence: Sequence, map: Arc<LightMap>) {
+        self.lighting().set_lit(sequence, map);
+    }
+
+    pub(crate) fn distrust(&self) {
+        self.lighting().distrust();
+    }
+
+    /// Only with `lighting` locked: versions are made one after the other.
+    fn publish(&self, next: Published) -> Arc<Published> {
+        let next = Arc::new(next);
+        self.published.send_replace(next.clone());
+        next
+    }
+
+    fn lighting(&self) -> MutexGuard<'_, Lighting> {
+        // What a panicking job leaves behind is distrusted by `worker`; the lock itself stays usable.
+        self.lighting.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// What a new scene is called.
+pub(crate) struct NewScene {
+    pub(crate) number: SceneNumber,
+    pub(crate) id: String,
+    pub(crate) name: String,
+    pub(crate) mode: Mode,
+    pub(crate) created_at: Timestamp,
+}
+
+/// A remembered request.
+#[derive(Clone, Debug)]
+pub(crate) struct Remembered {
+    pub(crate) body_hash: blake3::Hash,
+    pub(crate) job: JobNumber,
+    /// The job as first answered, for when it is forgotten.
+    pub(crate) answer: Arc<str>,
+}
+
+/// The last idempotency keys of a scene.
+#[derive(Debug)]
+pub(crate) struct IdempotencyKeys {
+    capacity: usize,
+    by_key: HashMap<String, Remembered>,
+    order: VecDeque<String>,
+}
+
+impl IdempotencyKeys {
+    fn new(capacity: usize) -> IdempotencyKeys {
+        IdempotencyKeys { capacity: capacity.max(1), by_key: HashMap::new(), order: VecDeque::new() }
+    }
+
+    pub(crate) fn get(&self, key: &str) -> Option<&Remembered> {
+        self.by_key.get(key)
+    }
+
+    pub(crate) fn insert(&mut self, key: String, remembered: Remembered) {
+        if self.order.len() == self.capacity
+            && let Some(oldest) = self.order.pop_front()
+        {
+            self.by_key.remove(&oldest);
+        }
+        self.order.push_back(key.clone());
+        self.by_key.insert(key, remembered);
+    }
+}
+
+/// All scenes.
+pub(crate) struct Scenes {
+    held: RwLock<Held>,
+}
+
+#[derive(Default)]
+struct Held {
+    by_number: BTreeMap<SceneNumber, Arc<SceneEntry>>,
+    newest: SceneNumber,
+    /// Being uploaded: they count against the limit.
+    reserved: usize,
+}
+
+impl Scenes {
+    pub(crate) fn new() -> Scenes {
+        Scenes { held: RwLock::default() }
+    }
+
+    pub(crate) fn get(&self, number: SceneNumber) -> Option<Arc<SceneEntry>> {
+        self.read().by_number.get(&number).cloned()
+    }
+
+    /// Scenes with numbers below `before`, newest first.
+    pub(crate) fn older_than(&self, before: SceneNumber, limit: usize) -> Vec<Arc<SceneEntry>> {
+        self.read().by_number.range(..before).rev().take(limit).map(|(_, scene)| scene.clone()).collect()
+    }
+
+    /// A place and a number for a scene; given back when the reservation is dropped.
+    pub(crate) fn reserve(self: &Arc<Scenes>, limit: usize) -> Option<Reservation> {
+        let mut held = self.write();
+        if held.by_number.len() + held.reserved >= limit {
+            return None;
+        }
+        held.reserved += 1;
+        held.newest += 1;
+        Some(Reservation { scenes: self.clone(), number: held.newest })
+    }
+
+    pub(crate) fn insert(&self, scene: Arc<SceneEntry>) {
+        self.write().by_number.insert(scene.number, scene);
+    }
+
+    pub(crate) fn remove(&self, number: SceneNumber) -> Option<Arc<SceneEntry>> {
+        self.write().by_number.remove(&number)
+    }
+
+    fn read(&self) -> std::sync::RwLockReadGuard<'_, Held> {
+        self.held.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn write(&self) -> std::sync::RwLockWriteGuard<'_, Held> {
+        self.held.write().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// A place for a scene that is being uploaded.
+pub(crate) struct Reservation {
+    scenes: Arc<Scenes>,
+    pub(crate) number: SceneNumber,
+}
+
+impl Drop for Reservation {
+    fn drop(&mut self) {
+        self.scenes.write().reserved -= 1;
+    }
+}

@@ -1,0 +1,120 @@
+//! A stand-in for the engine that goes on only when a test says so. Worlds and edits are the real ones.
+
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use glam::Vec3;
+use rebake::engine::{Budget, Canceled, Engine, LightMap, Observer, Progress, Update, World};
+use rebake_core::Pass;
+
+/// What the job that runs does next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Step {
+    /// One round, and a snapshot.
+    Round,
+    /// The end.
+    Finish,
+    /// A fault in the engine.
+    Panic,
+}
+
+/// The engine's side.
+#[derive(Debug)]
+pub(crate) struct Scripted {
+    steps: Mutex<Receiver<Step>>,
+}
+
+/// The test's side.
+#[derive(Debug)]
+pub(crate) struct Script(Sender<Step>);
+
+impl Scripted {
+    /// An engine and its script.
+    pub(crate) fn new() -> (Arc<Scripted>, Script) {
+        let (send, receive) = channel();
+        (Arc::new(Scripted { steps: Mutex::new(receive) }), Script(send))
+    }
+
+    fn work(&self, world: &World, old: &LightMap, seed: u64, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
+        let mut map = Arc::new(old.clone());
+        let mut progress = Progress {
+            pass: Pass::Direct,
+            samples_per_element: 0,
+            round_samples: 4,
+            round_fraction: 0.0,
+            rays: 0,
+            estimated_rmse: None,
+        };
+        observer.progress(&progress);
+        loop {
+            match self.next_step(observer)? {
+                Step::Finish => return Ok(map),
+                Step::Panic => panic!("scripted panic"),
+                Step::Round => {}
+            }
+            if observer.plan_round(&progress, 4) == 0 {
+                return Ok(map);
+            }
+            progress.samples_per_element += 4;
+            progress.rays += 1000;
+            progress.estimated_rmse = Some(1.0 / progress.samples_per_element as f32);
+            map = Arc::new(values(world, &map, seed, progress.samples_per_element));
+            observer.snapshot(&map, &progress);
+        }
+    }
+
+    fn next_step(&self, observer: &dyn Observer) -> Result<Step, Canceled> {
+        loop {
+            if observer.canceled() {
+                return Err(Canceled);
+            }
+            match self.steps.lock().unwrap().recv_timeout(Duration::from_millis(5)) {
+                Ok(step) => return Ok(step),
+                Err(RecvTimeoutError::Timeout) => {}
+                // The test is over.
+                Err(RecvTimeoutError::Disconnected) => return Ok(Step::Finish),
+            }
+        }
+    }
+}
+
+/// About half of the elements get a new value in every round.
+fn values(world: &World, old: &LightMap, seed: u64, samples: u32) -> LightMap {
+    let mut map = old.clone();
+    for (slot, area) in world.areas().iter().enumerate() {
+        let hash = (slot as u64 ^ seed).wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(samples) >> 40;
+        if *area > 0.0 && hash.is_multiple_of(2) {
+            map.direct[slot] = Vec3::splat(hash as f32 / 1e6);
+            map.indirect[slot] = Vec3::new(hash as f32 / 2e6, 0.0, -0.0);
+        }
+    }
+    map
+}
+
+impl Engine for Scripted {
+    fn bake(
+        &self,
+        world: &World,
+        _budget: &Budget,
+        seed: u64,
+        observer: &dyn Observer,
+    ) -> Result<Arc<LightMap>, Canceled> {
+        self.work(world, &LightMap::black(world.slots()), seed, observer)
+    }
+
+    fn update(&self, work: &Update<'_>, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
+        let carried = work.transition.carry_over(work.map);
+        self.work(&work.transition.after, &carried, work.seed, observer)
+    }
+}
+
+impl Script {
+    /// Lets the running job take these steps.
+    pub(crate) fn run(&self, steps: &[Step]) {
+        for step in steps {
+            // A server that has ended needs no more steps.
+            let _ = self.0.send(*step);
+        }
+    }
+}

@@ -1,0 +1,205 @@
+//! Jobs: order, fairness, cancel, failure, retention.
+
+use futures_util::future::join_all;
+use serde_json::{Value, json};
+
+use super::engine::Step;
+use super::server::{Server, path_of};
+
+fn paint(albedo: f64) -> Value {
+    json!({ "op": "material", "object": "room", "albedo": [albedo, albedo, albedo] })
+}
+
+fn id(job: &Value) -> &str {
+    job["id"].as_str().unwrap()
+}
+
+#[tokio::test]
+async fn one_job_of_a_scene_at_a_time_and_the_rest_wait_in_order() {
+    let (server, script) = Server::scripted().await;
+    let scene = server.room("").await;
+    let bake = scene["current_job"].as_str().unwrap().to_owned();
+    let edits = [server.edit(&scene, &paint(0.1)).await, server.edit(&scene, &paint(0.2)).await];
+    let states = async || {
+        let jobs = server.get(&format!("/v1/jobs?scene={}", id(&scene))).await.json(200);
+        let jobs = jobs["items"].as_array().unwrap().clone();
+        jobs.iter().map(|job| format!("{} {}", job["id"].as_str().unwrap(), job["state"].as_str().unwrap())).collect::<Vec<_>>()
+    };
+    let line = |job: &str, state: &str| format!("{job} {state}");
+    server.until(&bake, |job| job["state"] == "running").await;
+    assert_eq!(states().await, [line(&edits[1], "queued"), line(&edits[0], "queued"), line(&bake, "running")]);
+    script.run(&[Step::Round, Step::Finish]);
+    server.until(&edits[0], |job| job["state"] == "running").await;
+    assert_eq!(states().await, [line(&edits[1], "queued"), line(&edits[0], "running"), line(&bake, "succeeded")]);
+    let queued = server.get("/v1/jobs?state=queued").await.json(200);
+    assert_eq!(queued["items"].as_array().unwrap().len(), 1);
+    script.run(&[Step::Finish, Step::Finish]);
+    assert_eq!(server.end_of(&edits[1]).await["state"], "succeeded");
+    server.get("/v1/jobs?state=asleep").await.problem(400, "invalid-query");
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn progress_never_falls_and_versions_rise() {
+    let (server, script) = Server::scripted().await;
+    let scene = server.room("?samples_per_element=20").await;
+    let job = scene["current_job"].as_str().unwrap();
+    script.run(&[Step::Round; 5]);
+    script.run(&[Step::Finish]);
+    let mut events = server.client.job_events(job, None).await.unwrap();
+    let (mut fraction, mut version) = (0.0, 0);
+    while let Some((kind, _, data)) = super::server::next_event(&mut events).await {
+        if kind == "job" {
+            let now = data["progress"]["fraction"].as_f64().unwrap();
+            assert!((fraction..=1.0).contains(&now), "{fraction} {now}");
+            fraction = now;
+        } else {
+            assert_eq!(kind, "snapshot");
+            let now = data["version"].as_u64().unwrap();
+            assert_eq!(now, version + 1);
+            assert_eq!(data["job"], job);
+            version = now;
+        }
+    }
+    assert_eq!((fraction, version), (1.0, 5));
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn a_canceled_queued_edit_stays_and_is_lit_by_the_next_job() {
+    let (server, script) = Server::scripted().await;
+    let scene = server.room("").await;
+    let bake = scene["current_job"].as_str().unwrap();
+    let first = server.edit(&scene, &json!({ "op": "remove", "objects": ["cupboard"] })).await;
+    let canceled = server.delete(&format!("/v1/jobs/{first}")).await.json(200);
+    assert_eq!(canceled["state"], "canceled");
+    server.delete(&format!("/v1/jobs/{first}")).await.problem(409, "job-ended");
+    let mut events = server.client.scene_events(id(&scene), None).await.unwrap();
+    script.run(&[Step::Round, Step::Finish]);
+    server.end_of(bake).await;
+    // No job of this scene is left: its geometry is shown all the same, with old light.
+    loop {
+        let (kind, _, data) = super::server::next_event(&mut events).await.unwrap();
+        if kind == "scene" {
+            assert_eq!(data["what"], "edited");
+            break;
+        }
+    }
+    let now = server.get(&path_of(&scene)).await.json(200);
+    assert_eq!(now["objects"].as_array().unwrap().len(), 1);
+    assert_eq!(now["unlit_edits"], 1);
+    let rest = server.edit(&scene, &json!({ "edits": [] })).await;
+    script.run(&[Step::Round, Step::Finish]);
+    assert_eq!(server.end_of(&rest).await["state"], "succeeded");
+    assert_eq!(server.get(&path_of(&scene)).await.json(200)["unlit_edits"], 0);
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn a_running_job_stops_and_the_map_stays_consistent() {
+    let (server, script) = Server::scripted().await;
+    let scene = server.room("").await;
+    let bake = scene["current_job"].as_str().unwrap();
+    script.run(&[Step::Round]);
+    server.until(bake, |job| job["progress"]["version"] == 1).await;
+    let asked = server.delete(&format!("/v1/jobs/{bake}")).await;
+    assert!(asked.status == 202 || asked.status == 409, "{asked:?}");
+    assert_eq!(server.end_of(bake).await["state"], "canceled");
+    assert_eq!(server.get(&path_of(&scene)).await.json(200)["version"], 1);
+    // The one round was enough: an edit goes on from there. Canceled before its first round, it is not lit.
+    let edit = server.edit(&scene, &json!({ "op": "remove", "objects": ["cupboard"] })).await;
+    server.until(&edit, |job| job["state"] == "running").await;
+    server.delete(&format!("/v1/jobs/{edit}")).await.json(202);
+    assert_eq!(server.end_of(&edit).await["state"], "canceled");
+    let now = server.get(&path_of(&scene)).await.json(200);
+    assert_eq!((&now["version"], &now["unlit_edits"]), (&json!(2), &json!(1)), "carried over, not lit");
+    // The next job lights both.
+    let next = server.edit(&scene, &paint(0.3)).await;
+    script.run(&[Step::Round, Step::Finish, Step::Round, Step::Finish]);
+    assert_eq!(server.end_of(&next).await["state"], "succeeded");
+    assert_eq!(server.get(&path_of(&scene)).await.json(200)["unlit_edits"], 0);
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn a_panicking_job_fails_and_the_service_lives_on() {
+    let (server, script) = Server::scripted().await;
+    let scene = server.room("").await;
+    script.run(&[Step::Round, Step::Panic]);
+    let job = server.end_of(scene["current_job"].as_str().unwrap()).await;
+    assert_eq!(job["state"], "failed");
+    assert!(job["error"].as_str().unwrap().contains("scripted panic"), "{job}");
+    // The next job of the scene bakes afresh.
+    let edit = server.edit(&scene, &paint(0.3)).await;
+    script.run(&[Step::Round, Step::Finish]);
+    assert_eq!(server.end_of(&edit).await["state"], "succeeded");
+    assert_eq!(server.get(&path_of(&scene)).await.json(200)["unlit_edits"], 0);
+    server.get("/healthz").await.json(200);
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn scenes_run_side_by_side_and_take_turns() {
+    let (server, script) = Server::scripted_with(|config| config.job_slots = 2).await;
+    let scenes = join_all((0..3).map(|_| server.room(""))).await;
+    let bakes: Vec<&str> = scenes.iter().map(|scene| scene["current_job"].as_str().unwrap()).collect();
+    server.edit(&scenes[0], &paint(0.1)).await;
+    server.until(bakes[0], |_| true).await;
+    let running = server.get("/v1/jobs?state=running").await.json(200);
+    assert_eq!(running["items"].as_array().unwrap().len(), 2);
+    script.run(&[Step::Round, Step::Finish].repeat(4));
+    let ends = join_all(bakes.iter().map(|bake| server.end_of(bake))).await;
+    assert!(ends.iter().all(|job| job["state"] == "succeeded"));
+    // The third scene's first job began before the first scene's second one.
+    let jobs = server.get("/v1/jobs").await.json(200);
+    let started = |job: &Value| job["started_at"].as_str().map(str::to_owned);
+    let edit = jobs["items"].as_array().unwrap().iter().find(|job| job["kind"] == "edit").unwrap();
+    let edit = server.end_of(id(edit)).await;
+    let last_bake = ends.iter().filter_map(started).max().unwrap();
+    assert!(started(&edit).unwrap() >= last_bake);
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn queues_and_memory_of_jobs_are_bounded() {
+    let (server, script) = Server::scripted_with(|config| {
+        config.limits.queued_per_scene = 2;
+        config.limits.finished_jobs = 2;
+    })
+    .await;
+    let scene = server.room("").await;
+    let bake = scene["current_job"].as_str().unwrap();
+    server.until(bake, |job| job["state"] == "running").await;
+    server.edit(&scene, &paint(0.1)).await;
+    let last = server.edit(&scene, &paint(0.2)).await;
+    let refused = server.post_json(&format!("{}/edits", path_of(&scene)), &paint(0.3)).await;
+    refused.problem(429, "queue-full");
+    assert_eq!(refused.header("retry-after"), "1");
+    script.run(&[Step::Round, Step::Finish].repeat(3));
+    server.end_of(&last).await;
+    server.get(&format!("/v1/jobs/{bake}")).await.problem(404, "unknown-job");
+    let jobs = server.get("/v1/jobs?limit=1").await.json(200);
+    assert_eq!(jobs["items"][0]["id"], last);
+    let rest = server.get(&format!("/v1/jobs?cursor={}", jobs["next_cursor"].as_str().unwrap())).await.json(200);
+    assert_eq!(rest["items"].as_array().unwrap().len(), 1);
+    assert_eq!(rest["next_cursor"], json!(null));
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn the_same_calls_give_the_same_bits() {
+    let mut maps = Vec::new();
+    for other_scene_first in [false, true] {
+        let server = Server::start().await;
+        if other_scene_first {
+            server.room("?bake=false").await;
+        }
+        let scene = server.baked_room("?samples_per_element=8").await;
+        let mut edit = json!({ "op": "remove", "objects": ["cupboard"] });
+        edit["budget"] = json!({ "samples_per_element": 8 });
+        server.end_of(&server.edit(&scene, &edit).await).await;
+        maps.push(server.get(&format!("{}/lightmap?format=raw", path_of(&scene))).await.body);
+        server.stop().await;
+    }
+    assert!(maps[0] == maps[1]);
+}

@@ -1,0 +1,14 @@
+//! The service over HTTP: the real server on a free port.
+
+mod deltas;
+mod edits;
+mod engine;
+mod errors;
+mod events;
+mod glb;
+mod jobs;
+mod lightmap;
+mod openapi;
+mod scenes;
+mod server;
+mod shutdown;

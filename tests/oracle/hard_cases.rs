@@ -1,0 +1,211 @@
+//! Cases that break careless engines (design, section 6): they must stay finite, converge and agree with path tracing.
+
+use std::sync::Arc;
+
+use glam::{DMat4, DVec3, Vec3};
+use rebake_core::path::path_trace;
+use rebake_core::scene::{Material, Mesh, Object, Scene};
+use rebake_core::{Budget, Edit, LightMap, Unobserved, World, WorldOptions, bake, update};
+
+use super::scenes::{crate_at, room_objects, world};
+use super::statistics::{area_mean, mean_total};
+
+fn budget(samples: u32) -> Budget {
+    Budget { samples_per_element: samples, target_rmse: None }
+}
+
+fn baked(world: &World, samples: u32) -> Arc<LightMap> {
+    bake(world, &budget(samples), 1, &Unobserved).expect("nobody cancels")
+}
+
+/// Mean of a map over that of path tracing on every fifth valid element.
+fn ratio_to_path_tracing(world: &World, map: &LightMap, samples: u32) -> f64 {
+    let usable = |&i: &u32| world.areas()[i as usize] > 0.0 && world.is_valid(i as usize);
+    let slots: Vec<u32> = (0..world.slots() as u32).filter(usable).step_by(3).collect();
+    let (traced, _) = path_trace(world, &slots, samples, 5, &Unobserved).expect("nobody cancels");
+    let weighted = |f: &dyn Fn(usize, usize) -> Vec3| -> f64 {
+        slots.iter().enumerate().map(|(k, &s)| f64::from(world.areas()[s as usize] * f(k, s as usize).element_sum())).sum()
+    };
+    weighted(&|_, s| map.total(s)) / weighted(&|k, _| traced[k].direct + traced[k].indirect)
+}
+
+fn assert_finite(name: &str, map: &LightMap) {
+    let finite = |i: usize| map.direct[i].is_finite() && map.indirect[i].is_finite() && map.variance[i].is_finite();
+    assert!((0..map.len()).all(finite), "{name}: a value is not finite");
+}
+
+/// Inserts an object and compares with path tracing.
+fn check_insert(name: &str, before: &World, object: Object, tolerance: f64) -> LightMap {
+    let edit = Edit::Insert {
+        asset: Arc::new(Scene::from_objects(vec![object])),
+        name: "thing".into(),
+        transform: DMat4::IDENTITY,
+    };
+    let transition = before.apply(&[edit]).unwrap_or_else(|e| panic!("{name}: {e}"));
+    let map = update(&transition, &baked(before, 128), &budget(64), 2, &Unobserved).expect("nobody cancels");
+    assert_finite(name, &map);
+    let ratio = ratio_to_path_tracing(&transition.after, &map, 512);
+    assert!((ratio - 1.0).abs() < tolerance, "{name}: mean is {ratio:.4} of path tracing");
+    (*map).clone()
+}
+
+#[test]
+fn large_dark_and_bright_objects_in_bright_rooms() {
+    let size = 2.1;
+    let low = Vec3::new(0.45, 0.15, 0.45);
+    let cube = |albedo: f32| {
+        let mesh = Mesh::cuboid(low, low + Vec3::splat(size));
+        Object::new("cube", mesh, Material::diffuse(Vec3::splat(albedo)))
+    };
+    // The block would stick into the cube, the lamp is above it.
+    let room = |albedo| world(room_objects(albedo).into_iter().filter(|o| o.name != "block").collect(), 0.2);
+    for (wall, object) in [(0.9, 0.0), (0.95, 0.0), (0.95, 0.9)] {
+        check_insert(&format!("cube of {object} in a room of {wall}"), &room(wall), cube(object), 0.02);
+    }
+}
+
+#[test]
+fn touching_cutting_and_coplanar_objects() {
+    let room = world(room_objects(0.7), 0.15);
+    let cube = |low: Vec3, size: Vec3| {
+        Object::new("cube", Mesh::cuboid(low, low + size), Material::diffuse(Vec3::splat(0.6)))
+    };
+    check_insert("on the floor and against a wall", &room, cube(Vec3::new(2.4, 0.0, 1.0), Vec3::splat(0.6)), 0.01);
+    check_insert("through a wall", &room, cube(Vec3::new(2.6, 0.4, 1.0), Vec3::splat(0.7)), 0.01);
+    check_insert("inside another object", &room, cube(Vec3::new(0.6, 0.2, 0.7), Vec3::splat(0.2)), 0.01);
+    let sheet = Object::new(
+        "sheet",
+        Mesh::quad(Vec3::new(1.5, 0.0, 1.5), Vec3::Z, Vec3::X),
+        Material::diffuse(Vec3::splat(0.2)).double_sided(),
+    );
+    check_insert("a sheet in the plane of the floor", &room, sheet, 0.06);
+}
+
+#[test]
+fn tiny_lamps_enclosed_lamps_and_no_light() {
+    let unlit: Vec<Object> = room_objects(0.7).into_iter().filter(|o| o.name != "lamp").collect();
+    let dark = world(unlit.clone(), 0.2);
+    let map = baked(&dark, 16);
+    assert_eq!(mean_total(&dark, &map), 0.0);
+    let square_millimetre = Object::new(
+        "spark",
+        Mesh::quad(Vec3::new(1.5, 1.2, 1.5), Vec3::X * 1e-3, Vec3::Z * 1e-3),
+        Material::emissive(Vec3::splat(1e6)),
+    );
+    check_insert("a lamp of a square millimetre", &dark, square_millimetre.clone(), 0.02);
+    // A lantern that is shut around the lamp: the room goes dark.
+    let mut objects = unlit;
+    objects.push(square_millimetre);
+    let lit = world(objects, 0.2);
+    let shut = Object::new(
+        "lantern",
+        Mesh::cuboid(Vec3::new(1.3, 1.0, 1.3), Vec3::new(1.7, 1.4, 1.7)),
+        Material::diffuse(Vec3::splat(0.5)),
+    );
+    let edit = Edit::Insert {
+        asset: Arc::new(Scene::from_objects(vec![shut])),
+        name: "lantern".into(),
+        transform: DMat4::IDENTITY,
+    };
+    let transition = lit.apply(&[edit]).expect("a lantern");
+    let old = baked(&lit, 256);
+    let map = update(&transition, &old, &budget(64), 2, &Unobserved).expect("nobody cancels");
+    let outside = |i: usize| (transition.after.positions()[i] - Vec3::new(1.5, 1.2, 1.5)).abs().max_element() > 0.25;
+    let left = area_mean(&transition.after, outside, |i| map.total(i).as_dvec3());
+    assert!(left.abs() < 0.02 * mean_total(&lit, &old), "{left} of {} is left", mean_total(&lit, &old));
+}
+
+#[test]
+fn scales_and_distances() {
+    let reference = {
+        let world = world(room_objects(0.7), 0.2);
+        mean_total(&world, &baked(&world, 64))
+    };
+    for (scale, shift) in [(1e-3, 0.0), (1e-3, 1.0), (1e4, 0.0), (1.0, 1e4), (1e4, 1e6)] {
+        let place = DMat4::from_translation(DVec3::splat(shift)) * DMat4::from_scale(DVec3::splat(scale));
+        let objects: Vec<Object> = room_objects(0.7)
+            .into_iter()
+            .map(|o| {
+                let place = place * o.world_from_object;
+                o.placed(place)
+            })
+            .collect();
+        let mut scene = Scene::from_objects(objects);
+        scene.origin = DVec3::splat(shift) + DVec3::splat(1.5 * scale);
+        let options = WorldOptions { spacing: Some(0.2 * scale as f32), ..WorldOptions::default() };
+        let world = World::new(scene, &options).expect("a scaled room");
+        let map = baked(&world, 64);
+        let ratio = mean_total(&world, &map) / reference;
+        assert!((ratio - 1.0).abs() < 0.02, "scale {scale}, {shift} m away: mean is {ratio:.4} of that at scale 1");
+    }
+}
+
+#[test]
+fn inserting_and_removing_comes_back() {
+    let mut world = world(room_objects(0.7), 0.25);
+    let mut map = baked(&world, 512);
+    let start = map.clone();
+    let asset = Arc::new(Scene::from_objects(vec![crate_at("c", 0.0, 0.0, Vec3::splat(0.3))]));
+    let transform = DMat4::from_translation(DVec3::new(2.2, 0.0, 1.9));
+    let before = mean_total(&world, &map);
+    for turn in 0..50 {
+        let insert = Edit::Insert { asset: Arc::clone(&asset), name: "crate".into(), transform };
+        for (k, edit) in [insert, Edit::Remove { objects: vec!["crate".into()] }].into_iter().enumerate() {
+            let transition = world.apply(&[edit]).expect("an edit");
+            map = update(&transition, &map, &budget(16), 100 + 2 * turn + k as u64, &Unobserved).expect("nobody cancels");
+            world = transition.after;
+            if world.needs_rebuild() {
+                let trees = world.rebuilt_trees();
+                world = world.with_trees(trees).expect("nothing has changed since");
+            }
+        }
+        assert_finite("insert and remove", &map);
+    }
+    assert_eq!(world.element_count(), start.len(), "holes at the end are all that is left");
+    let ratio = mean_total(&world, &map) / before;
+    assert!((ratio - 1.0).abs() < 0.02, "after 100 edits the mean is {ratio:.4} of what it was");
+}
+
+#[test]
+fn open_scenes_degenerate_and_duplicate_triangles() {
+    let mut floor = Mesh::quad(Vec3::ZERO, Vec3::Z * 2.0, Vec3::X * 2.0);
+    let (triangles, materials) = (floor.triangles.clone(), floor.triangle_materials.clone());
+    floor.triangles.extend(&triangles);
+    floor.triangle_materials.extend(&materials);
+    floor.triangles.push([0, 0, 1]);
+    floor.triangle_materials.push(0);
+    let white = Material::diffuse(Vec3::splat(0.8));
+    let wall = Object::new("wall", Mesh::quad(Vec3::ZERO, Vec3::X * 2.0, Vec3::Y * 2.0), white);
+    let lamp = Object::new(
+        "lamp",
+        Mesh::quad(Vec3::new(0.5, 1.8, 0.5), Vec3::X * 0.5, Vec3::Z * 0.5),
+        Material::emissive(Vec3::splat(5.0)),
+    );
+    let world = world(vec![Object::new("floor", floor, white), wall, lamp], 0.1);
+    let map = baked(&world, 64);
+    assert_finite("open scene", &map);
+    let ratio = ratio_to_path_tracing(&world, &map, 256);
+    assert!((ratio - 1.0).abs() < 0.02, "open scene: mean is {ratio:.4} of path tracing");
+}
+
+#[test]
+fn light_through_a_slit() {
+    // Two rooms, the wall between them has a slit of 2 cm over a height of 1 m.
+    let white = Material::diffuse(Vec3::splat(0.8)).double_sided();
+    let mut objects = room_objects(0.8);
+    let wall = |name: &str, y: f32, height: f32, z: f32, depth: f32| {
+        Object::new(name, Mesh::quad(Vec3::new(2.2, y, z), Vec3::Z * depth, Vec3::Y * height), white)
+    };
+    objects.push(wall("wall, near part", 0.0, 2.4, 0.0, 1.0));
+    objects.push(wall("wall, far part", 0.0, 2.4, 1.02, 1.98));
+    let world = world(objects, 0.1);
+    let map = baked(&world, 64);
+    let behind = |i: usize| world.positions()[i].x > 2.25;
+    let slots: Vec<u32> = (0..world.slots() as u32).filter(|&i| behind(i as usize)).step_by(4).collect();
+    let (traced, _) = path_trace(&world, &slots, 4096, 5, &Unobserved).expect("nobody cancels");
+    let mean = |value: &dyn Fn(usize, usize) -> Vec3| -> f64 {
+        slots.iter().enumerate().map(|(k, &s)| f64::from(world.areas()[s as usize] * value(k, s as usize).element_sum())).sum()
+    };
+    let ratio = mean(&|_, s| map.total(s)) / mean(&|k, _| traced[k].direct + traced[k].indirect);
+    assert!((ratio - 1.0).abs() < 0.08, "behind the slit the mean is {ratio:.4} of path tracing");
+}

@@ -1,0 +1,9 @@
+//! The engine against closed forms, independent computations and full bakes.
+
+mod determinism;
+mod edits;
+mod enclosures;
+mod hard_cases;
+mod plates;
+mod scenes;
+mod statistics;
