@@ -85,9 +85,8 @@ mod tests {
         let mut mean = vec![0.0f64; len];
         let sizes = [2u32, 2, 4, 8, 16];
         for n in sizes {
-            let values: Vec<Vec3> = (0..len)
-                .map(|_| Vec3::splat((0..n).map(|_| rng.next_f32()).sum::<f32>() / n as f32))
-                .collect();
+            let values: Vec<Vec3> =
+                (0..len).map(|_| Vec3::splat((0..n).map(|_| rng.next_f32()).sum::<f32>() / n as f32)).collect();
             mean.iter_mut().zip(&values).for_each(|(m, v)| *m += f64::from(v.x) * f64::from(n));
             acc.add(n, &values, &vec![Vec3::ZERO; len]);
         }

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
+use crate::accumulate::Accumulator;
 use crate::job::{Budget, Canceled, Observer, Pass};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
@@ -23,27 +24,35 @@ pub(crate) const NEAR: f32 = 2.0;
 /// observer plans no further round; the same inputs, seed and plan give the same bits.
 pub fn bake(world: &World, budget: &Budget, seed: u64, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
     let work = Work::new(observer);
-    let baker = Baker { world, slots: world.computed_slots(), subset: Subset::new(world), work: &work };
+    let baker = Baker::new(world, &work);
     let seed = subseed(seed, 0xba6e);
-    let compose = |sum: &crate::accumulate::Accumulator| {
-        let mut map = LightMap { direct: sum.direct(), indirect: sum.indirect(), variance: sum.variance() };
-        world.fill_invalid(&mut map);
-        map
-    };
     let areas = world.areas();
-    let map = rounds::run(world.slots(), areas, budget, seed, &work, |r| baker.round(r), compose)?;
+    let map = rounds::run(world.slots(), areas, budget, seed, &work, |r| baker.round(r), |s| baker.compose(s))?;
     Ok(map.unwrap_or_else(|| Arc::new(LightMap::black(world.slots()))))
 }
 
-struct Baker<'a> {
+/// What all rounds of a bake share.
+pub(crate) struct Baker<'a> {
     world: &'a World,
     slots: Vec<u32>,
     subset: Subset,
     work: &'a Work<'a>,
 }
 
-impl Baker<'_> {
-    fn round(&self, round: &Round) -> Result<(Vec<Vec3>, Vec<Vec3>), Canceled> {
+impl<'a> Baker<'a> {
+    pub(crate) fn new(world: &'a World, work: &'a Work<'a>) -> Baker<'a> {
+        Baker { world, slots: world.computed_slots(), subset: Subset::new(world), work }
+    }
+
+    /// The mean of all rounds.
+    pub(crate) fn compose(&self, sum: &Accumulator) -> LightMap {
+        let mut map = LightMap { direct: sum.direct(), indirect: sum.indirect(), variance: sum.variance() };
+        self.world.fill_invalid(&mut map);
+        map
+    }
+
+    /// One independent estimate of direct and indirect light.
+    pub(crate) fn round(&self, round: &Round) -> Result<(Vec<Vec3>, Vec<Vec3>), Canceled> {
         let (world, work) = (self.world, self.work);
         (round.begin)(Pass::Direct, 0.0);
         let direct = self.scatter(&direct_of(world, &self.slots, round.samples, round.seed, work)?);

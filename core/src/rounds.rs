@@ -57,8 +57,7 @@ pub(crate) fn run(
             break;
         }
         let begin = |pass, fraction| observer.progress(&progress(pass, samples, fraction));
-        let (direct, indirect) =
-            round(&Round { samples, seed: subseed(seed, index), sum: &sum, begin: &begin })?;
+        let (direct, indirect) = round(&Round { samples, seed: subseed(seed, index), sum: &sum, begin: &begin })?;
         sum.add(samples, &direct, &indirect);
         let map = Arc::new(compose(&sum));
         if sum.knows_variance() {

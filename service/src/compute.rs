@@ -26,10 +26,7 @@ pub(crate) struct Compute {
 
 impl Compute {
     pub(crate) fn new(threads: usize) -> Result<Compute, ThreadPoolBuildError> {
-        Ok(Compute {
-            short: Arc::new(build_pool("short", threads)?),
-            builds: Arc::new(build_pool("build", threads)?),
-        })
+        Ok(Compute { short: Arc::new(build_pool("short", threads)?), builds: Arc::new(build_pool("build", threads)?) })
     }
 
     /// Runs a task of milliseconds and waits for it without blocking the async thread. A caller that goes away leaves

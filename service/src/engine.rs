@@ -7,9 +7,10 @@ use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
 use rebake_core::export::{EXR_WIDTH, write_exr};
-pub use rebake_core::scene::{LoadError, Scene};
 use rebake_core::scene::{Light, LightKind, LoadLimits, load_glb};
+pub use rebake_core::scene::{LoadError, Scene};
 pub use rebake_core::{Budget, Canceled, Edit, EditError, EditErrorKind, LightMap, Observer, Progress};
+pub use rebake_core::surface::SurfaceError;
 pub use rebake_core::{Transition, World, WorldError};
 
 use crate::config::Limits;
@@ -20,8 +21,13 @@ pub const ENVIRONMENT: &str = "environment";
 /// What computes light for a job. Called on the threads of a job slot.
 pub trait Engine: Send + Sync + Debug {
     /// From scratch.
-    fn bake(&self, world: &World, budget: &Budget, seed: u64, observer: &dyn Observer)
-    -> Result<Arc<LightMap>, Canceled>;
+    fn bake(
+        &self,
+        world: &World,
+        budget: &Budget,
+        seed: u64,
+        observer: &dyn Observer,
+    ) -> Result<Arc<LightMap>, Canceled>;
 
     /// From the map of `transition.before` to that of `transition.after`.
     fn update(&self, work: &Update<'_>, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled>;
@@ -90,11 +96,8 @@ impl Engine for CoreEngine {
 
 /// Reads an uploaded file.
 pub(crate) fn load(glb: &[u8], limits: &Limits) -> Result<Scene, LoadError> {
-    let limits = LoadLimits {
-        max_bytes: limits.upload_bytes,
-        max_triangles: limits.triangles,
-        ..LoadLimits::default()
-    };
+    let limits =
+        LoadLimits { max_bytes: limits.upload_bytes, max_triangles: limits.triangles, ..LoadLimits::default() };
     load_glb(glb, &limits)
 }
 
@@ -173,7 +176,7 @@ pub(crate) fn element_records(world: &World) -> Vec<u8> {
 
 /// The subdivided mesh with the values as vertex colours, as binary glTF.
 pub(crate) fn lightmap_glb(world: &World, values: &[Vec3]) -> Result<Vec<u8>, String> {
-    rebake_core::export::lightmap_glb(world, values).map_err(|e| e.to_string())
+    rebake_core::export::lightmap_glb(world, values).map_err(|error| error.to_string())
 }
 
 /// The values as an OpenEXR picture, with what they are in its header.

@@ -80,16 +80,19 @@ impl EventLog {
         self.newest.send_replace(newest);
     }
 
-    /// Nothing will follow. The log shrinks to its last events: finished jobs are many.
+    /// Nothing will follow.
     pub(crate) fn close(&self) {
-        const KEPT: usize = 16;
+        self.lock().closed = true;
+        self.newest.send_modify(|_| ());
+    }
+
+    /// Keeps only the last events of a log that was closed a while ago: finished jobs are many.
+    pub(crate) fn shrink(&self) {
+        const KEPT: usize = 8;
         let mut log = self.lock();
-        log.closed = true;
         let surplus = log.events.len().saturating_sub(KEPT);
         log.events.drain(..surplus);
         log.events.shrink_to_fit();
-        drop(log);
-        self.newest.send_modify(|_| ());
     }
 
     /// The events after `after`.
@@ -140,6 +143,8 @@ mod tests {
             log.push_state("job", n.to_string().into());
         }
         log.close();
+        assert_eq!(log.since(3).events.len(), 37, "who is behind can still catch up");
+        log.shrink();
         log.push("job", "late".into());
         let batch = log.since(39);
         assert_eq!(ids(&batch), [40]);

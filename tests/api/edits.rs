@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use super::engine::Step;
 use super::glb::translation;
-use super::server::{Server, path_of};
+use super::server::{Answer, Server, path_of};
 
 #[tokio::test]
 async fn every_kind_of_edit_is_accepted_and_lit() {
@@ -12,7 +12,8 @@ async fn every_kind_of_edit_is_accepted_and_lit() {
     let asset = server.crate_asset().await;
     let scene = server.baked_room("?samples_per_element=4").await;
     let lamp = json!({ "kind": "point", "position": [1, 2, 1], "color": [1, 1, 1], "intensity": 4 });
-    let spot = json!({ "kind": "spot", "position": [1, 2, 1], "direction": [0, -2, 0], "color": [1, 1, 1], "intensity": 4 });
+    let spot =
+        json!({ "kind": "spot", "position": [1, 2, 1], "direction": [0, -2, 0], "color": [1, 1, 1], "intensity": 4 });
     let sun = json!({ "kind": "directional", "direction": [1, -1, 0], "color": [1, 1, 1], "intensity": 4 });
     let edits = [
         json!({ "op": "insert", "asset": asset, "name": "crate-1", "transform": translation(2.0, 0.01, 2.0) }),
@@ -77,7 +78,12 @@ async fn refused_edits_name_the_field_and_change_nothing() {
         (json!({ "op": "remove", "objects": [1] }), 422, "invalid-value", "objects[0]"),
         (json!({ "op": "remove", "objects": ["cupboard"], "x": 1 }), 422, "invalid-value", "x"),
         (json!({ "op": "remove", "objects": ["cupboard", "sofa"] }), 422, "unknown-object", "objects[1]"),
-        (json!({ "edits": [insert("a"), { "op": "remove", "objects": ["b"] }] }), 422, "unknown-object", "edits[1].objects[0]"),
+        (
+            json!({ "edits": [insert("a"), { "op": "remove", "objects": ["b"] }] }),
+            422,
+            "unknown-object",
+            "edits[1].objects[0]",
+        ),
         (json!({ "edits": [insert("a"), insert("a")] }), 409, "name-taken", "edits[1].name"),
         (json!({ "edits": 3 }), 422, "invalid-value", "edits"),
         (json!({ "edits": [3] }), 422, "invalid-value", "edits[0]"),
@@ -86,21 +92,51 @@ async fn refused_edits_name_the_field_and_change_nothing() {
         (insert(""), 422, "invalid-value", "name"),
         (insert("a\nb"), 422, "invalid-value", "name"),
         (json!({ "op": "insert", "asset": "00", "name": "a", "transform": at }), 422, "unknown-asset", "asset"),
-        (json!({ "op": "insert", "asset": asset, "name": "a", "transform": [1, 2] }), 422, "invalid-value", "transform"),
+        (
+            json!({ "op": "insert", "asset": asset, "name": "a", "transform": [1, 2] }),
+            422,
+            "invalid-value",
+            "transform",
+        ),
         (json!({ "op": "move", "object": "sofa", "transform": at }), 422, "unknown-object", "object"),
-        (json!({ "op": "move", "object": "cupboard", "transform": [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0] }), 422, "invalid-value", "transform"),
+        (
+            json!({ "op": "move", "object": "cupboard", "transform": [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0] }),
+            422,
+            "invalid-value",
+            "transform",
+        ),
         (json!({ "op": "material", "object": "cupboard", "albedo": [0, 0, 1.5] }), 422, "invalid-value", "albedo"),
         (json!({ "op": "material", "object": "cupboard", "albedo": [0, 0, 1e39] }), 422, "invalid-value", "albedo"),
         (json!({ "op": "material", "object": "cupboard", "albedo": "red" }), 422, "invalid-value", "albedo"),
-        (json!({ "op": "relight", "lights": [{ "light": "sun", "intensity": 1 }] }), 422, "unknown-light", "lights[0].light"),
-        (json!({ "op": "relight", "lights": [{ "light": "lamp", "intensity": -1 }] }), 422, "invalid-value", "lights[0].intensity"),
+        (
+            json!({ "op": "relight", "lights": [{ "light": "sun", "intensity": 1 }] }),
+            422,
+            "unknown-light",
+            "lights[0].light",
+        ),
+        (
+            json!({ "op": "relight", "lights": [{ "light": "lamp", "intensity": -1 }] }),
+            422,
+            "invalid-value",
+            "lights[0].intensity",
+        ),
         (json!({ "op": "relight", "lights": [{ "light": "lamp" }] }), 422, "invalid-value", "lights[0].intensity"),
         (json!({ "op": "relight", "lights": [] }), 422, "invalid-value", "lights"),
         (light(json!({ "kind": "laser" })), 422, "invalid-value", "light.kind"),
         (light(json!(3)), 422, "invalid-value", "light"),
         (light(json!({ "kind": "point", "color": [1, 1, 1], "intensity": 1 })), 422, "invalid-value", "light.position"),
-        (light(json!({ "kind": "directional", "direction": [0, 0, 0], "color": [1, 1, 1], "intensity": 1 })), 422, "invalid-value", "light.direction"),
-        (light(json!({ "kind": "environment", "color": [1, -1, 1], "intensity": 1 })), 422, "invalid-value", "light.color"),
+        (
+            light(json!({ "kind": "directional", "direction": [0, 0, 0], "color": [1, 1, 1], "intensity": 1 })),
+            422,
+            "invalid-value",
+            "light.direction",
+        ),
+        (
+            light(json!({ "kind": "environment", "color": [1, -1, 1], "intensity": 1 })),
+            422,
+            "invalid-value",
+            "light.color",
+        ),
         (json!({ "op": "remove_light", "light": "sun" }), 422, "unknown-light", "light"),
         (json!({ "op": "move_light", "light": "lamp" }), 422, "invalid-value", "position"),
         (with("budget", json!({ "samples_per_element": 0 })), 422, "invalid-value", "budget.samples_per_element"),
@@ -139,10 +175,14 @@ async fn bodies_that_are_no_edits_are_refused() {
     for body in ["", "{", "[]", "null", "{\"op\": \"remove\"", "\u{0}", "{\"op\":1e999}"] {
         server.post_text(&path, body, &[]).await.problem(400, "invalid-json");
     }
-    server.post_text(&path, &format!("{{\"op\": \"{}\"}}", "x".repeat(5000)), &[]).await.problem(413, "payload-too-large");
+    server
+        .post_text(&path, &format!("{{\"op\": \"{}\"}}", "x".repeat(5000)), &[])
+        .await
+        .problem(413, "payload-too-large");
     let nested = format!("{{\"op\":{}{}}}", "[".repeat(1500), "]".repeat(1500));
     server.post_text(&path, &nested, &[]).await.problem(400, "invalid-json");
-    server.post_text(&path, "{}", &[("content-type", "text/plain")]).await.problem(415, "unsupported-media-type");
+    let text = server.request(reqwest::Method::POST, &path).header("content-type", "text/plain").body("{}");
+    Answer::of(text.send().await.unwrap()).await.problem(415, "unsupported-media-type");
     let many = json!({ "edits": [{}, {}, {}, {}] });
     server.post_json(&path, &many).await.problem(422, "invalid-value");
     server.post_text("/v1/scenes/s9-zzzzzz/edits", "{}", &[]).await.problem(404, "unknown-scene");
@@ -193,7 +233,8 @@ async fn an_idempotency_key_makes_one_job() {
     let headers = key("k3");
     let posts = (0..10).map(|_| server.post_text(&path, &paint, &headers));
     let answers = futures_util::future::join_all(posts).await;
-    let ids: std::collections::HashSet<String> = answers.iter().map(|answer| answer.json(202)["id"].to_string()).collect();
+    let ids: std::collections::HashSet<String> =
+        answers.iter().map(|answer| answer.json(202)["id"].to_string()).collect();
     assert_eq!(ids.len(), 1);
     // The oldest key was forgotten when the third came.
     server.post_text(&path, &body, &key("k1")).await.problem(422, "unknown-object");
@@ -216,7 +257,11 @@ async fn if_match_names_the_version() {
     for bad in ["1", "\"1", ""] {
         server.post_text(&path, &paint, &[("if-match", bad)]).await.problem(400, "bad-request");
     }
-    for right in ["\"1\"", "*", "\"7\", \"1\""] {
+    let job = server.post_text(&path, &paint, &[("if-match", "\"1\"")]).await.json(202);
+    // Its geometry makes version 2, and the script holds it there.
+    server.until(job["id"].as_str().unwrap(), |job| job["state"] == "running").await;
+    server.client.follow(scene["id"].as_str().unwrap()).reach(2).await.unwrap();
+    for right in ["\"2\"", "*", "\"7\", \"2\""] {
         server.post_text(&path, &paint, &[("if-match", right)]).await.json(202);
     }
     server.stop().await;

@@ -36,7 +36,13 @@ impl Scripted {
         (Arc::new(Scripted { steps: Mutex::new(receive) }), Script(send))
     }
 
-    fn work(&self, world: &World, old: &LightMap, seed: u64, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
+    fn work(
+        &self,
+        world: &World,
+        old: &LightMap,
+        seed: u64,
+        observer: &dyn Observer,
+    ) -> Result<Arc<LightMap>, Canceled> {
         let mut map = Arc::new(old.clone());
         let mut progress = Progress {
             pass: Pass::Direct,

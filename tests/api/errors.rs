@@ -149,14 +149,18 @@ async fn malformed_uploads_are_refused_with_a_reason() {
     let server = Server::start().await;
     let files = broken();
     assert!(files.len() >= 50, "{}", files.len());
+    let mut accepted = Vec::new();
     for (name, file) in files {
         for path in ["/v1/scenes?bake=false&spacing=1", "/v1/assets"] {
             let answer = server.post_glb(path, file.clone()).await;
-            let is_refused = [400, 413, 422].contains(&answer.status.as_u16());
-            assert!(is_refused, "{name} at {path}: {} {}", answer.status, String::from_utf8_lossy(&answer.body));
+            if ![400, 413, 422].contains(&answer.status.as_u16()) {
+                accepted.push(format!("{name} at {path}: {}", answer.status));
+                continue;
+            }
             assert!(!answer.json(answer.status.as_u16())["detail"].as_str().unwrap().is_empty(), "{name}");
         }
     }
+    assert_eq!(accepted, [""; 0]);
     assert_eq!(server.get("/v1/scenes").await.json(200)["items"], json!([]));
     server.room("").await;
     server.stop().await;

@@ -28,9 +28,12 @@ impl Glb {
         let low = [0, 1, 2].map(|k| positions.iter().map(|p| p[k]).fold(f32::INFINITY, f32::min));
         let high = [0, 1, 2].map(|k| positions.iter().map(|p| p[k]).fold(f32::NEG_INFINITY, f32::max));
         let bytes: Vec<u8> = positions.iter().flatten().flat_map(|x| x.to_le_bytes()).collect();
-        let position = self.accessor(&bytes, json!({
-            "componentType": 5126, "type": "VEC3", "count": positions.len(), "min": low, "max": high
-        }));
+        let position = self.accessor(
+            &bytes,
+            json!({
+                "componentType": 5126, "type": "VEC3", "count": positions.len(), "min": low, "max": high
+            }),
+        );
         let bytes: Vec<u8> = indices.iter().flat_map(|i| i.to_le_bytes()).collect();
         let index = self.accessor(&bytes, json!({ "componentType": 5125, "type": "SCALAR", "count": indices.len() }));
         self.materials.push(json!({

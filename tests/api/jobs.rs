@@ -23,7 +23,9 @@ async fn one_job_of_a_scene_at_a_time_and_the_rest_wait_in_order() {
     let states = async || {
         let jobs = server.get(&format!("/v1/jobs?scene={}", id(&scene))).await.json(200);
         let jobs = jobs["items"].as_array().unwrap().clone();
-        jobs.iter().map(|job| format!("{} {}", job["id"].as_str().unwrap(), job["state"].as_str().unwrap())).collect::<Vec<_>>()
+        jobs.iter()
+            .map(|job| format!("{} {}", job["id"].as_str().unwrap(), job["state"].as_str().unwrap()))
+            .collect::<Vec<_>>()
     };
     let line = |job: &str, state: &str| format!("{job} {state}");
     server.until(&bake, |job| job["state"] == "running").await;

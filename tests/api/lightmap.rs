@@ -54,7 +54,9 @@ async fn a_client_that_has_the_version_gets_304() {
     for path in ["lightmap", "lightmap?format=exr", "elements"] {
         let path = format!("{}/{path}", path_of(&scene));
         let tag = server.get(&path).await.header("etag").to_owned();
-        for (known, status) in [(tag.clone(), 304), (format!("W/{tag}"), 304), ("*".to_owned(), 304), ("\"999\"".to_owned(), 200)] {
+        for (known, status) in
+            [(tag.clone(), 304), (format!("W/{tag}"), 304), ("*".to_owned(), 304), ("\"999\"".to_owned(), 200)]
+        {
             let request = server.request(Method::GET, &path).header("if-none-match", &known);
             let answer = Answer::of(request.send().await.unwrap()).await;
             assert_eq!(answer.status, status, "{path} {known}");

@@ -14,7 +14,10 @@ fn the_document_on_disk_is_that_of_the_code() {
         std::fs::write(path, &document).unwrap();
     }
     let on_disk = std::fs::read_to_string(path).unwrap_or_default();
-    assert!(on_disk == document, "openapi/openapi.json is out of date: REBAKE_UPDATE=1 cargo test -p rebake-tests openapi");
+    assert!(
+        on_disk == document,
+        "openapi/openapi.json is out of date: REBAKE_UPDATE=1 cargo test -p rebake-tests openapi"
+    );
 }
 
 #[tokio::test]
@@ -23,7 +26,9 @@ async fn the_service_serves_it_and_every_reference_resolves() {
     let document = server.get("/openapi.json").await.json(200);
     server.stop().await;
     assert!(document["openapi"].as_str().unwrap().starts_with("3.1"));
-    for path in ["/v1/scenes", "/v1/scenes/{scene}/edits", "/v1/scenes/{scene}/lightmap/deltas", "/v1/jobs/{job}/events"] {
+    for path in
+        ["/v1/scenes", "/v1/scenes/{scene}/edits", "/v1/scenes/{scene}/lightmap/deltas", "/v1/jobs/{job}/events"]
+    {
         assert!(document["paths"][path].is_object(), "{path}");
     }
     let mut references = Vec::new();

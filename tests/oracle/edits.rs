@@ -95,7 +95,10 @@ fn remove() {
 fn move_and_turn() {
     let edit = Edit::Move { object: "crate".into(), transform: place(2.0, 0.9) * DMat4::from_rotation_y(0.5) };
     check("move", &room_with_crate(), &[edit], Vec3::new(2.0, 0.3, 0.9));
-    let edit = Edit::Move { object: "crate".into(), transform: place(2.2, 1.9) * DMat4::from_scale(DVec3::new(0.5, 2.0, 0.5)) };
+    let edit = Edit::Move {
+        object: "crate".into(),
+        transform: place(2.2, 1.9) * DMat4::from_scale(DVec3::new(0.5, 2.0, 0.5)),
+    };
     check("scale", &room_with_crate(), &[edit], Vec3::new(2.2, 0.6, 1.9));
 }
 

@@ -15,7 +15,8 @@ fn parallel_squares(a: f64, c: f64) -> f64 {
     let x = a / c;
     let r = (1.0 + x * x).sqrt();
     2.0 / (PI * x * x)
-        * (((1.0 + x * x).powi(2) / (1.0 + 2.0 * x * x)).sqrt().ln() + 2.0 * x * r * (x / r).atan() - 2.0 * x * x.atan())
+        * (((1.0 + x * x).powi(2) / (1.0 + 2.0 * x * x)).sqrt().ln() + 2.0 * x * r * (x / r).atan()
+            - 2.0 * x * x.atan())
 }
 
 #[test]
@@ -46,24 +47,43 @@ fn two_facing_plates() {
 /// Point, spot and parallel light and a constant sky on an open plane: exact values.
 #[test]
 fn punctual_lights_and_sky_on_a_plane() {
-    let plane = Object::new("plane", Mesh::quad(Vec3::new(-1.0, 0.0, -1.0), Vec3::Z * 2.0, Vec3::X * 2.0), Material::diffuse(Vec3::splat(0.5)));
+    let plane = Object::new(
+        "plane",
+        Mesh::quad(Vec3::new(-1.0, 0.0, -1.0), Vec3::Z * 2.0, Vec3::X * 2.0),
+        Material::diffuse(Vec3::splat(0.5)),
+    );
     let light = |name: &str, kind, intensity| Light { name: name.into(), kind, color: Vec3::ONE, intensity };
     let height = 2.0f64;
     let position = glam::DVec3::new(0.0, height, 0.0);
     let cases: Vec<(&str, LightKind, f32, Box<dyn Fn(Vec3) -> f64>)> = vec![
-        ("point", LightKind::Point { position, range: None }, 5.0, Box::new(move |p| {
-            let r2 = f64::from(p.length_squared()) + height * height;
-            5.0 * height / r2.powf(1.5) / PI
-        })),
+        (
+            "point",
+            LightKind::Point { position, range: None },
+            5.0,
+            Box::new(move |p| {
+                let r2 = f64::from(p.length_squared()) + height * height;
+                5.0 * height / r2.powf(1.5) / PI
+            }),
+        ),
         ("sun", LightKind::Directional { direction: Vec3::new(0.6, -0.8, 0.0) }, 3.0, Box::new(|_| 3.0 * 0.8 / PI)),
         ("sky", LightKind::Environment, 0.7, Box::new(|_| 0.7)),
-        ("spot", LightKind::Spot { position, direction: Vec3::NEG_Y, inner_cone_angle: 0.6, outer_cone_angle: 0.9, range: None }, 5.0,
+        (
+            "spot",
+            LightKind::Spot {
+                position,
+                direction: Vec3::NEG_Y,
+                inner_cone_angle: 0.6,
+                outer_cone_angle: 0.9,
+                range: None,
+            },
+            5.0,
             Box::new(move |p| {
                 let r2 = f64::from(p.length_squared()) + height * height;
                 let cos = height / r2.sqrt();
                 let t = ((cos - 0.9f64.cos()) / (0.6f64.cos() - 0.9f64.cos())).clamp(0.0, 1.0);
                 5.0 * t * t * height / r2.powf(1.5) / PI
-            })),
+            }),
+        ),
     ];
     for (name, kind, intensity, exact) in cases {
         let scene = Scene::from_objects(vec![plane.clone()]).with_light(light(name, kind, intensity));

@@ -4,7 +4,9 @@ use std::f32::consts::{PI, TAU};
 
 use glam::Vec3;
 
-use super::{Cone, Discrete, Mixture, SphericalTriangle, Spheres, cosine_hemisphere, cosine_hemisphere_pdf, uniform_barycentrics};
+use super::{
+    Cone, Discrete, Mixture, Spheres, SphericalTriangle, cosine_hemisphere, cosine_hemisphere_pdf, uniform_barycentrics,
+};
 use crate::random::Pcg32;
 
 /// Upper tail of the chi² distribution by the Wilson–Hilferty normal approximation: z-score.
@@ -62,7 +64,11 @@ fn check_directions(name: &str, sample: impl Fn([f32; 2]) -> Vec3, pdf: impl Fn(
         }
     }
     let total: f64 = expected.iter().sum();
-    assert!((total / SAMPLES as f64 - 1.0).abs() < 5e-3, "{name}: the density integrates to {}", total / SAMPLES as f64);
+    assert!(
+        (total / SAMPLES as f64 - 1.0).abs() < 5e-3,
+        "{name}: the density integrates to {}",
+        total / SAMPLES as f64
+    );
     // Cells cut by the support's border carry the error of the integration: they are pooled with their neighbours'
     // by leaving out those whose density is not smooth.
     let smooth: Vec<bool> = (0..ROWS * COLUMNS)
@@ -105,16 +111,24 @@ fn directions_follow_their_densities() {
         let triangle = SphericalTriangle::new(Vec3::ZERO, corners).unwrap();
         let inside = |d: Vec3| (0..3).all(|i| corners[i].cross(corners[(i + 1) % 3]).dot(d) >= 0.0);
         let sign = corners[0].cross(corners[1]).dot(corners[2]).signum();
-        check_directions("spherical triangle", |u| triangle.sample(u), |d| {
-            if inside(d * sign) && d.dot(corners[0] + corners[1] + corners[2]) > 0.0 { triangle.pdf() } else { 0.0 }
-        });
+        check_directions(
+            "spherical triangle",
+            |u| triangle.sample(u),
+            |d| {
+                if inside(d * sign) && d.dot(corners[0] + corners[1] + corners[2]) > 0.0 { triangle.pdf() } else { 0.0 }
+            },
+        );
     }
 }
 
 #[test]
 fn mixtures_over_spheres_follow_their_density() {
     let tile = |c: Vec3, r: f32| [c + Vec3::X * r, c + Vec3::Y * r, c - Vec3::X * r];
-    let far = [tile(Vec3::new(1.0, 0.5, 2.0), 0.4), tile(Vec3::new(1.4, 0.5, 2.0), 0.4), tile(Vec3::new(-2.0, 0.0, 0.6), 0.3)];
+    let far = [
+        tile(Vec3::new(1.0, 0.5, 2.0), 0.4),
+        tile(Vec3::new(1.4, 0.5, 2.0), 0.4),
+        tile(Vec3::new(-2.0, 0.0, 0.6), 0.3),
+    ];
     let near = [tile(Vec3::new(0.0, 0.1, 0.2), 0.5), tile(Vec3::new(2.0, 0.0, 1.0), 0.5)];
     for (name, triangles) in [("mixture, far", &far[..]), ("mixture, inside a sphere", &near[..])] {
         let mixture = Mixture::new(&Spheres::new(triangles), Vec3::ZERO, Vec3::Z).unwrap();

@@ -24,9 +24,10 @@ impl Spheres {
             groups.push(bounded(triangles, (0..triangles.len() as u32).collect()));
         }
         while groups.len() < MAX_SPHERES {
-            let Some(largest) = (0..groups.len()).filter(|&i| groups[i].2.len() > 1).max_by(|&a, &b| {
-                groups[a].1.total_cmp(&groups[b].1).then(b.cmp(&a))
-            }) else {
+            let Some(largest) = (0..groups.len())
+                .filter(|&i| groups[i].2.len() > 1)
+                .max_by(|&a, &b| groups[a].1.total_cmp(&groups[b].1).then(b.cmp(&a)))
+            else {
                 break;
             };
             let (left, right) = split(triangles, &groups[largest].2);
@@ -54,8 +55,7 @@ impl Spheres {
 
 fn bounded(triangles: &[[Vec3; 3]], group: Vec<u32>) -> (Vec3, f32, Vec<u32>) {
     let corners = || group.iter().flat_map(|&t| triangles[t as usize]);
-    let (low, high) =
-        corners().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), c| (l.min(c), h.max(c)));
+    let (low, high) = corners().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), c| (l.min(c), h.max(c)));
     let center = (low + high) * 0.5;
     let radius = corners().map(|c| c.distance(center)).fold(0.0, f32::max);
     (center, radius * 1.0001, group)
@@ -63,9 +63,8 @@ fn bounded(triangles: &[[Vec3; 3]], group: Vec<u32>) -> (Vec3, f32, Vec<u32>) {
 
 fn split(triangles: &[[Vec3; 3]], group: &[u32]) -> (Vec<u32>, Vec<u32>) {
     let centroid = |t: u32| triangles[t as usize].iter().sum::<Vec3>();
-    let (low, high) = group
-        .iter()
-        .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), &t| (l.min(centroid(t)), h.max(centroid(t))));
+    let (low, high) =
+        group.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), &t| (l.min(centroid(t)), h.max(centroid(t))));
     let axis = (high - low).max_position();
     let mut order = group.to_vec();
     order.sort_by(|&a, &b| centroid(a)[axis].total_cmp(&centroid(b)[axis]).then(a.cmp(&b)));

@@ -41,14 +41,24 @@ pub(crate) fn propagate(
     for k in 2..=GATHERS {
         let field = spread(world, subset, &u);
         let bounce = look_up(&field);
-        u = step(world, subset, &clusters, &bounce, (samples >> (k - 1)).max(4), subseed(seed, u64::from(k)), work, &mut counts)?;
+        u = step(
+            world,
+            subset,
+            &clusters,
+            &bounce,
+            (samples >> (k - 1)).max(4),
+            subseed(seed, u64::from(k)),
+            work,
+            &mut counts,
+        )?;
         add(&mut sum, &u);
     }
     // The tail is constant over clusters; one more gather of u + tail smooths it.
     let tail = clusters.tail(&counts.transport, &counts.rays, &u);
     add(&mut u, &tail);
     let field = spread(world, subset, &u);
-    let last = step(world, subset, &clusters, &look_up(&field), (samples / 2).max(4), subseed(seed, 99), work, &mut counts)?;
+    let last =
+        step(world, subset, &clusters, &look_up(&field), (samples / 2).max(4), subseed(seed, 99), work, &mut counts)?;
     add(&mut sum, &last);
     Ok(spread(world, subset, &sum))
 }

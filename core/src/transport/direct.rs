@@ -56,7 +56,12 @@ impl DirectLight {
             for k in 0..self.environment {
                 let direction = cosine_hemisphere(n, sequence.get(k));
                 *rays += 1;
-                free += u32::from(!world.trees.any_hit(&Ray { origin: point, direction, t_min: 0.0, t_max: f32::INFINITY }));
+                free += u32::from(!world.trees.any_hit(&Ray {
+                    origin: point,
+                    direction,
+                    t_min: 0.0,
+                    t_max: f32::INFINITY,
+                }));
             }
             sum += world.emitters.environment * (free as f32 / self.environment as f32);
         }
@@ -98,7 +103,13 @@ pub(crate) fn one_light(world: &World, point: Vec3, n: Vec3, rng: &mut Pcg32, ra
 }
 
 /// Direct light of many elements.
-pub(crate) fn direct_of(world: &World, slots: &[u32], samples: u32, seed: u64, work: &Work) -> Result<Vec<Vec3>, Canceled> {
+pub(crate) fn direct_of(
+    world: &World,
+    slots: &[u32],
+    samples: u32,
+    seed: u64,
+    work: &Work,
+) -> Result<Vec<Vec3>, Canceled> {
     let direct = DirectLight::new(world, samples);
     let seed = subseed(seed, 0xd1);
     work.map(slots, |_, slot, rays| {

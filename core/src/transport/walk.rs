@@ -2,8 +2,8 @@
 
 use glam::Vec3;
 
-use super::direct::one_light;
 use super::Surfel;
+use super::direct::one_light;
 use crate::bvh::Ray;
 use crate::random::Pcg32;
 use crate::sampling::cosine_hemisphere;

@@ -36,7 +36,8 @@ impl<'a> DirectChange<'a> {
         let stays = |e: &Emitter, in_world: &World, other: &World| {
             // A light on an object stays where its object did.
             e.object.is_none_or(|key| {
-                let find = |w: &World| w.placed.iter().find(|p| p.key == key).map(|p| std::sync::Arc::as_ptr(&p.surface));
+                let find =
+                    |w: &World| w.placed.iter().find(|p| p.key == key).map(|p| std::sync::Arc::as_ptr(&p.surface));
                 find(in_world) == find(other)
             })
         };
@@ -95,14 +96,19 @@ impl<'a> DirectChange<'a> {
     fn pair_change(&self, pair: &Pair, count: u32, point: Vec3, n: Vec3, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
         let emitter = pair.emitter;
         let steady = pair.before == pair.after;
-        if steady && (pair.before == Vec3::ZERO || !self.may_be_cut(emitter, point)) || below_horizon(emitter, point, n) {
+        if steady && (pair.before == Vec3::ZERO || !self.may_be_cut(emitter, point)) || below_horizon(emitter, point, n)
+        {
             return Vec3::ZERO;
         }
         let sequence = R2::new(rng);
         let mut sum = Vec3::ZERO;
         for k in 0..count {
             let Some(sample) = emitter.sample(point, n, sequence.get(k)) else { continue };
-            let end = if sample.distance.is_finite() { sample.distance * SHADOW_END + self.transition.after.epsilon } else { 0.0 };
+            let end = if sample.distance.is_finite() {
+                sample.distance * SHADOW_END + self.transition.after.epsilon
+            } else {
+                0.0
+            };
             let ray = Ray { origin: point, direction: sample.direction, t_min: 0.0, t_max: sample.distance - end };
             let came = self.hides(&self.transition.come, &ray, rays);
             let went = self.hides(&self.transition.gone, &ray, rays);

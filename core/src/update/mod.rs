@@ -12,11 +12,13 @@ mod direct;
 mod new_rows;
 mod source;
 
+use std::cell::OnceCell;
 use std::sync::Arc;
 
 use glam::Vec3;
 
 use crate::accumulate::Accumulator;
+use crate::bake::Baker;
 use crate::job::{Budget, Canceled, Observer, Pass};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
@@ -42,7 +44,18 @@ pub fn update(
     let updater = Updater::new(transition, map, &work);
     let seed = subseed(seed, 0xed17);
     let areas = world.areas();
-    let result = rounds::run(world.slots(), areas, budget, seed, &work, |r| updater.round(r), |s| updater.compose(s))?;
+    let baker = OnceCell::new();
+    let round = |r: &Round| {
+        if baker.get().is_none() {
+            let (direct, indirect) = updater.round(r)?;
+            if r.sum.samples() > 0 || !updater.outgrows_the_light(&direct, &indirect) {
+                return Ok((direct, indirect));
+            }
+        }
+        baker.get_or_init(|| Baker::new(world, &work)).round(r)
+    };
+    let compose = |s: &Accumulator| baker.get().map_or_else(|| updater.compose(s), |b| b.compose(s));
+    let result = rounds::run(world.slots(), areas, budget, seed, &work, round, compose)?;
     Ok(result.unwrap_or_else(|| Arc::new(transition.carry_over(map))))
 }
 
@@ -126,6 +139,20 @@ impl<'a> Updater<'a> {
         Ok((direct, indirect))
     }
 
+    /// Whether the change is larger than the light that is left: its noise would be, too, and a bake is the better
+    /// update (design, section 3.9). The new rows' own light is no change.
+    fn outgrows_the_light(&self, direct: &[Vec3], indirect: &[Vec3]) -> bool {
+        let areas = self.world.areas();
+        let (mut change, mut left) = (0.0f64, 0.0f64);
+        for &slot in &self.static_rows {
+            let slot = slot as usize;
+            let delta = direct[slot] + indirect[slot];
+            change += f64::from(areas[slot]) * f64::from(delta.length_squared());
+            left += f64::from(areas[slot]) * f64::from((self.old_total[slot] + delta).length_squared());
+        }
+        change > left
+    }
+
     /// X = Σ_k u_k. New rows have gathered ΔD and the repainted surfaces already: they see only what S changed.
     fn propagate(&self, direct: &[Vec3], indirect: &[Vec3], round: &Round) -> Result<Vec<Vec3>, Canceled> {
         let world = self.world;
@@ -134,6 +161,11 @@ impl<'a> Updater<'a> {
             let slot = slot as usize;
             seen_by_new[slot] = indirect[slot];
             seen_by_old[slot] = direct[slot] + indirect[slot];
+        }
+        // Elements that came out of a solid had a value copied from neighbours, and S has looked that up.
+        for &slot in self.transition.new_rows.iter().filter(|&&slot| self.was_filled(slot)) {
+            let slot = slot as usize;
+            seen_by_old[slot] = direct[slot] + indirect[slot] - self.before_total[slot];
         }
         world.validity.fill(&mut seen_by_old);
         world.validity.fill(&mut seen_by_new);
@@ -152,6 +184,12 @@ impl<'a> Updater<'a> {
         };
         let samples = (round.samples * 2).clamp(PROPAGATION_SAMPLES, 64);
         propagate(world, &self.subset, &first, samples, subseed(round.seed, 0x9409), self.work)
+    }
+
+    /// Whether a new row is one of an object that stays, which lay inside a solid before.
+    fn was_filled(&self, slot: u32) -> bool {
+        let t = self.transition;
+        !t.is_come(slot) && (slot as usize) < self.before_total.len()
     }
 
     fn new_flags(&self) -> Vec<bool> {

@@ -57,6 +57,14 @@ impl Transition {
         next
     }
 
+    /// Whether a slot belongs to an object whose geometry is new.
+    pub(crate) fn is_come(&self, slot: u32) -> bool {
+        let (old, new) = (&self.before, &self.after);
+        let owner = new.geometry.owners[slot as usize];
+        let surface = |w: &World| w.placed.iter().find(|p| p.key == owner).map(|p| Arc::as_ptr(&p.surface));
+        surface(old) != surface(new)
+    }
+
     /// Corners of everything that came or went.
     pub(crate) fn changed_triangles(&self) -> Vec<[Vec3; 3]> {
         let of = |placed: &Placed| build::corners_of(placed).0;
@@ -162,10 +170,9 @@ impl Draft {
                 self.move_object(index, transform)
             }
             Edit::Material { object, albedo } => self.repaint(object, *albedo),
-            Edit::Relight { lights } => lights
-                .iter()
-                .enumerate()
-                .try_for_each(|(k, r)| self.relight(r).map_err(|e| EditError { field: format!("lights[{k}].{}", e.field), ..e })),
+            Edit::Relight { lights } => lights.iter().enumerate().try_for_each(|(k, r)| {
+                self.relight(r).map_err(|e| EditError { field: format!("lights[{k}].{}", e.field), ..e })
+            }),
             Edit::InsertLight { name, kind, color, intensity } => {
                 self.check_free_light(name)?;
                 check_strength(Some(*color), Some(*intensity))?;
@@ -247,7 +254,10 @@ impl Draft {
     fn remove_object(&mut self, index: usize) {
         let object = self.world.scene.objects.remove(index);
         let placed = self.world.placed.remove(index);
-        self.world.scene.lights.retain(|l| !matches!(&l.kind, LightKind::Emissive { object: o, .. } if *o == object.name));
+        self.world
+            .scene
+            .lights
+            .retain(|l| !matches!(&l.kind, LightKind::Emissive { object: o, .. } if *o == object.name));
         self.geometry.clear(&placed.placement);
         self.take_out(&placed);
     }
@@ -335,8 +345,10 @@ impl Draft {
             world.epsilon = world.epsilon.max(build::epsilon_of(&world.geometry));
             let placed = world.placed.iter().filter(|p| come.contains(&p.key));
             ranges = placed.map(|p| p.placement.elements.clone()).collect();
-            let grown: Vec<(Vec3, Vec3)> =
-                touched.iter().map(|(l, h)| (*l - Vec3::splat(world.spacing), *h + Vec3::splat(world.spacing))).collect();
+            let grown: Vec<(Vec3, Vec3)> = touched
+                .iter()
+                .map(|(l, h)| (*l - Vec3::splat(world.spacing), *h + Vec3::splat(world.spacing)))
+                .collect();
             world.validity = Arc::new(Validity::updated(&before.validity, &world, &ranges, &grown));
         }
         let come_trees = world.placed.iter().filter(|p| come.contains(&p.key));
@@ -376,7 +388,11 @@ impl Draft {
         }
         if self.world.slots() > self.world.options.max_elements {
             let limit = self.world.options.max_elements;
-            return Err(error("asset", format!("the scene would have more than {limit} elements"), EditErrorKind::TooLarge));
+            return Err(error(
+                "asset",
+                format!("the scene would have more than {limit} elements"),
+                EditErrorKind::TooLarge,
+            ));
         }
         Ok(())
     }
@@ -470,7 +486,11 @@ fn check_kind(kind: &LightKind) -> Result<(), EditError> {
         LightKind::Directional { direction } => direction.is_normalized(),
         LightKind::Environment | LightKind::Emissive { .. } => true,
     };
-    if finite { Ok(()) } else { Err(invalid("light", "position and direction must be finite, and the direction not zero")) }
+    if finite {
+        Ok(())
+    } else {
+        Err(invalid("light", "position and direction must be finite, and the direction not zero"))
+    }
 }
 
 fn move_light(kind: &mut LightKind, to: Option<DVec3>, turn: Option<Vec3>) -> Result<(), EditError> {

@@ -19,11 +19,8 @@ const EPSILON: f32 = 4e-6;
 
 pub(super) fn build(scene: Scene, options: &WorldOptions) -> Result<World, WorldError> {
     let spacing = spacing_of(&scene, options)?;
-    let surfaces: Vec<(Arc<Surface>, Arc<Coarse>)> = scene
-        .objects
-        .par_iter()
-        .map(|o| subdivide(&scene, o, spacing, options))
-        .collect::<Result<_, _>>()?;
+    let surfaces: Vec<(Arc<Surface>, Arc<Coarse>)> =
+        scene.objects.par_iter().map(|o| subdivide(&scene, o, spacing, options)).collect::<Result<_, _>>()?;
     check_size(surfaces.iter().map(|(s, _)| &**s), spacing, options)?;
 
     let mut placed = Vec::with_capacity(surfaces.len());
@@ -85,8 +82,7 @@ pub(super) fn check_size<'a>(
     spacing: f32,
     options: &WorldOptions,
 ) -> Result<(), WorldError> {
-    let (elements, triangles) =
-        surfaces.fold((0, 0), |(e, t), s| (e + s.positions.len(), t + s.triangles.len()));
+    let (elements, triangles) = surfaces.fold((0, 0), |(e, t), s| (e + s.positions.len(), t + s.triangles.len()));
     let too_large = |what, limit| Err(WorldError::TooLarge { what, limit, spacing });
     if elements > options.max_elements {
         return too_large("elements", options.max_elements);

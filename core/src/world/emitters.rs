@@ -249,10 +249,9 @@ impl Emitter {
             (Shape::Surface { double_sided: a, .. }, Shape::Surface { double_sided: b, .. }) => {
                 a == b && self.object == other.object
             }
-            (
-                Shape::Point { position: a, spot: s, range: r },
-                Shape::Point { position: b, spot: t, range: q },
-            ) => a == b && s == t && r == q,
+            (Shape::Point { position: a, spot: s, range: r }, Shape::Point { position: b, spot: t, range: q }) => {
+                a == b && s == t && r == q
+            }
             (Shape::Directional { direction: a }, Shape::Directional { direction: b }) => a == b,
             _ => false,
         }

@@ -98,7 +98,6 @@ impl World {
     }
 }
 
-
 /// Whether a closed surface contains a point: parity of the crossings of one skew ray.
 fn contains(placed: &Placed, point: glam::Vec3) -> bool {
     let direction = glam::DVec3::new(0.577_215_66, 0.693_147_18, 0.431_237_9);
@@ -106,8 +105,7 @@ fn contains(placed: &Placed, point: glam::Vec3) -> bool {
     let surface = &placed.surface;
     let crossings = surface.triangles.iter().filter(|t| {
         let [a, b, c] = t.map(|i| surface.vertices[i as usize].as_dvec3() - origin);
-        let (u, v, w) =
-            (direction.dot(c.cross(b)), direction.dot(a.cross(c)), direction.dot(b.cross(a)));
+        let (u, v, w) = (direction.dot(c.cross(b)), direction.dot(a.cross(c)), direction.dot(b.cross(a)));
         let same = (u >= 0.0 && v >= 0.0 && w >= 0.0) || (u <= 0.0 && v <= 0.0 && w <= 0.0);
         let n = (b - a).cross(c - a);
         let slope = direction.dot(n);

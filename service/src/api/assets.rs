@@ -1,9 +1,9 @@
 //! Assets: what is uploaded to be inserted later.
 
+use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
-use axum::Json;
 
 use super::extract::{read_body, require_content_type};
 use super::problem::{ApiResult, Kind, Problem};
@@ -18,11 +18,7 @@ use crate::store::assets::{Assets, NoRoom};
     request_body(content = Vec<u8>, content_type = "model/gltf-binary", description = "A `.glb` with everything embedded"),
     responses((status = 201, body = Asset, description = "Uploaded"), (status = 200, body = Asset, description = "Known already"))
 )]
-pub(super) async fn create(
-    State(app): Shared,
-    headers: HeaderMap,
-    body: Body,
-) -> ApiResult<(StatusCode, Json<Asset>)> {
+pub(super) async fn create(State(app): Shared, headers: HeaderMap, body: Body) -> ApiResult<(StatusCode, Json<Asset>)> {
     require_serving(&app)?;
     require_content_type(&headers, scenes::GLB_TYPES)?;
     let permit = scenes::upload_permit(&app).await?;

@@ -24,7 +24,8 @@ pub(crate) struct Parsed {
 
 /// Reads the body of an edit request.
 pub(crate) fn parse(body: &[u8], max_edits: usize) -> ApiResult<Parsed> {
-    let value: Value = serde_json::from_slice(body).map_err(|error| Problem::new(Kind::InvalidJson, error.to_string()))?;
+    let value: Value =
+        serde_json::from_slice(body).map_err(|error| Problem::new(Kind::InvalidJson, error.to_string()))?;
     let Value::Object(mut fields) = value else {
         return Err(Problem::new(Kind::InvalidJson, "the body has to be a JSON object"));
     };
@@ -212,7 +213,11 @@ fn to_edit(op: &EditOp, path: &str, assets: &Assets, max_name: usize) -> ApiResu
         EditOp::RemoveLight(remove) => Edit::RemoveLight { light: remove.light.clone() },
         EditOp::MoveLight(place) => {
             if place.position.is_none() && place.direction.is_none() {
-                return Err(Problem::field(Kind::InvalidValue, join(path, "position"), "neither it nor `direction` is given"));
+                return Err(Problem::field(
+                    Kind::InvalidValue,
+                    join(path, "position"),
+                    "neither it nor `direction` is given",
+                ));
             }
             if let Some(position) = &place.position {
                 finite("position", position)?;
@@ -301,7 +306,12 @@ pub(crate) fn check_name(name: &str, field: &str, max_chars: usize) -> ApiResult
 
 /// The budget in force. With a bound on time or error alone, samples go on until that is reached.
 /// `path` is where the budget's fields stand.
-pub(crate) fn to_budget(budget: Option<Budget>, path: &str, default_samples: u32, config: &Config) -> ApiResult<JobBudget> {
+pub(crate) fn to_budget(
+    budget: Option<Budget>,
+    path: &str,
+    default_samples: u32,
+    config: &Config,
+) -> ApiResult<JobBudget> {
     let Budget { samples_per_element, max_seconds, target_rmse } = budget.unwrap_or_default();
     let max_samples = config.limits.samples_per_element;
     if samples_per_element.is_some_and(|samples| !(1..=max_samples).contains(&samples)) {

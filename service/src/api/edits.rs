@@ -174,9 +174,7 @@ fn idempotency_key(headers: &HeaderMap) -> ApiResult<Option<String>> {
 }
 
 fn accepted(job: &str, answer: &Arc<str>) -> Response {
-    let headers = [
-        (header::CONTENT_TYPE, "application/json".to_owned()),
-        (header::LOCATION, format!("/v1/jobs/{job}")),
-    ];
+    let headers =
+        [(header::CONTENT_TYPE, "application/json".to_owned()), (header::LOCATION, format!("/v1/jobs/{job}"))];
     (StatusCode::ACCEPTED, headers, answer.to_string()).into_response()
 }

@@ -37,7 +37,11 @@ static LAST_EVENT_ID: HeaderName = HeaderName::from_static("last-event-id");
         (status = 204, description = "The job has ended and the client has all of its events"),
     )
 )]
-pub(super) async fn of_job(State(app): Shared, ApiPath(id): ApiPath<String>, headers: HeaderMap) -> ApiResult<Response> {
+pub(super) async fn of_job(
+    State(app): Shared,
+    ApiPath(id): ApiPath<String>,
+    headers: HeaderMap,
+) -> ApiResult<Response> {
     let (number, job) = jobs::find(&app, &id)?;
     let unknown = || Problem::new(Kind::UnknownJob, format!("there is no job {id:?}"));
     let log = app.jobs.events(number).ok_or_else(unknown)?;

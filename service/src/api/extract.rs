@@ -57,8 +57,8 @@ pub(crate) async fn read_body(app: &App, headers: &HeaderMap, body: Body, limit:
         }
         Ok(Ok(bytes)) => Ok(bytes),
         Ok(Err(error)) => {
-            let is_limit = std::error::Error::source(&error)
-                .is_some_and(|source| source.is::<http_body_util::LengthLimitError>());
+            let is_limit =
+                std::error::Error::source(&error).is_some_and(|source| source.is::<http_body_util::LengthLimitError>());
             if is_limit { Err(too_large()) } else { Err(Problem::new(Kind::BadRequest, "the body broke off")) }
         }
     }
@@ -95,7 +95,8 @@ pub(crate) enum ETags {
 impl ETags {
     /// Parses all lines of a header; `None` where it is absent.
     pub(crate) fn from_header(headers: &HeaderMap, name: HeaderName) -> ApiResult<Option<ETags>> {
-        let malformed = || Problem::new(Kind::BadRequest, format!("the header {name} has to be * or a list of \"tags\""));
+        let malformed =
+            || Problem::new(Kind::BadRequest, format!("the header {name} has to be * or a list of \"tags\""));
         let mut tags = Vec::new();
         let mut lines = headers.get_all(&name).iter().peekable();
         if lines.peek().is_none() {

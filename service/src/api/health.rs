@@ -33,5 +33,6 @@ pub(super) async fn not_implemented() -> Problem {
     responses((status = 200, body = String, content_type = "text/plain"))
 )]
 pub(super) async fn problem(ApiPath(slug): ApiPath<String>) -> ApiResult<String> {
-    problem::describe(&slug).ok_or_else(|| Problem::new(Kind::NotFound, format!("there is no kind of problem {slug:?}")))
+    problem::describe(&slug)
+        .ok_or_else(|| Problem::new(Kind::NotFound, format!("there is no kind of problem {slug:?}")))
 }

@@ -66,10 +66,7 @@ pub(super) async fn get(State(app): Shared, ApiPath(id): ApiPath<String>) -> Api
     params(("job" = String, Path, description = "The job's id")),
     responses((status = 200, body = Job, description = "Canceled"), (status = 202, body = Job, description = "Asked to stop"))
 )]
-pub(super) async fn cancel(
-    State(app): Shared,
-    ApiPath(id): ApiPath<String>,
-) -> ApiResult<(StatusCode, Json<Job>)> {
+pub(super) async fn cancel(State(app): Shared, ApiPath(id): ApiPath<String>) -> ApiResult<(StatusCode, Json<Job>)> {
     let (number, job) = find(&app, &id)?;
     let status = match app.cancel_job(number) {
         Cancel::Done => {

@@ -108,7 +108,7 @@ fn file(published: &Published, format: Format, layer: Layer) -> Result<Vec<u8>, 
     let values = published.layer(layer);
     match format {
         Format::Exr => {
-            let about = [("version", &*published.version.to_string()), ("light", layer.as_str())];
+            let about = [("lightMapVersion", &*published.version.to_string()), ("lightMapLayer", layer.as_str())];
             engine::lightmap_exr(&values, &about)
         }
         Format::Glb => engine::lightmap_glb(&published.world, &values),

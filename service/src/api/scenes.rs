@@ -21,7 +21,7 @@ use super::paging::Page;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::{self, SceneMode, finite};
 use super::{Shared, etag, find_scene, require_serving};
-use crate::engine::{self, LoadError, World, WorldError};
+use crate::engine::{self, LoadError, SurfaceError, World, WorldError};
 use crate::jobs::JobSpec;
 use crate::jobs::queue::{Full, JobKind};
 use crate::state::App;
@@ -151,10 +151,8 @@ fn in_query(problem: Problem) -> Problem {
 }
 
 fn parse_environment(text: &str) -> ApiResult<Vec3> {
-    let numbers: Option<Vec<f32>> = text
-        .split(',')
-        .map(|number| number.trim().parse().ok().filter(|x: &f32| x.is_finite() && *x >= 0.0))
-        .collect();
+    let numbers: Option<Vec<f32>> =
+        text.split(',').map(|number| number.trim().parse().ok().filter(|x: &f32| x.is_finite() && *x >= 0.0)).collect();
     match numbers.as_deref() {
         Some([r, g, b]) => Ok(Vec3::new(*r, *g, *b)),
         _ => Err(Problem::field(Kind::InvalidQuery, "environment", "has to be r,g,b, each finite and at least 0")),
@@ -170,7 +168,9 @@ fn build_world(app: &App, glb: &Bytes, spacing: Option<f32>, environment: Option
         return Err(Problem::field(Kind::NameTaken, "environment", reason));
     }
     engine::build(scene, spacing, &app.config.limits).map_err(|error| match error {
-        WorldError::TooLarge { .. } => Problem::new(Kind::SceneTooLarge, error.to_string()),
+        WorldError::TooLarge { .. } | WorldError::Surface { source: SurfaceError::TooManyElements { .. }, .. } => {
+            Problem::new(Kind::SceneTooLarge, error.to_string())
+        }
         error => Problem::new(Kind::UnsupportedFile, error.to_string()),
     })
 }

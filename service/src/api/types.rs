@@ -12,7 +12,6 @@ use crate::jobs::queue;
 use crate::state::Ids;
 use crate::store::versions::{Layer, Mode};
 
-
 /// What a scene's light map holds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]

@@ -9,7 +9,7 @@ pub(crate) mod worker;
 #[cfg(test)]
 mod tests;
 
-use std::collections::HashMap;
+use std::collections::{HashMap, VecDeque};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -54,7 +54,12 @@ struct State {
     pools: Vec<Arc<ThreadPool>>,
     /// No job starts any more.
     closed: bool,
+    /// Jobs that ended last; their events are kept whole, for streams that are behind.
+    just_ended: VecDeque<JobNumber>,
 }
+
+/// Jobs whose events are kept whole after their end.
+const KEPT_WHOLE: usize = 32;
 
 /// What belongs to a job beside its place in the queue.
 struct Handle {
@@ -81,7 +86,7 @@ impl Jobs {
             queued: limits.queued,
             finished: limits.finished_jobs,
         });
-        let state = State { queue, handles: HashMap::new(), pools, closed: false };
+        let state = State { queue, handles: HashMap::new(), pools, closed: false, just_ended: VecDeque::new() };
         Ok(Jobs { state: Mutex::new(state), slots, running: watch::Sender::new(0) })
     }
 
@@ -110,8 +115,12 @@ impl Jobs {
         wanted: impl Fn(&Job, &str) -> bool,
     ) -> Vec<(Job, String)> {
         let state = self.lock();
-        let jobs = state.queue.older_than(before).filter_map(|job| Some((job, &state.handles.get(&job.number)?.scene_id)));
-        jobs.filter(|(job, scene)| wanted(job, scene)).map(|(job, scene)| (job.clone(), scene.clone())).take(limit).collect()
+        let jobs =
+            state.queue.older_than(before).filter_map(|job| Some((job, &state.handles.get(&job.number)?.scene_id)));
+        jobs.filter(|(job, scene)| wanted(job, scene))
+            .map(|(job, scene)| (job.clone(), scene.clone()))
+            .take(limit)
+            .collect()
     }
 
     pub(crate) fn events(&self, number: JobNumber) -> Option<Arc<EventLog>> {
@@ -172,6 +181,12 @@ impl State {
             handle.events.close();
             handle.spec = None;
             handle.scene = None;
+        }
+        self.just_ended.push_back(number);
+        if self.just_ended.len() > KEPT_WHOLE
+            && let Some(old) = self.just_ended.pop_front().and_then(|old| self.handles.get(&old))
+        {
+            old.events.shrink();
         }
         for old in self.queue.take_forgotten() {
             self.handles.remove(&old);

@@ -169,9 +169,9 @@ impl Observer for JobObserver<'_> {
         let version = {
             let mut state = self.lock();
             let pass = progress.pass.as_str();
-            let is_news = state.reported.is_none_or(|(at, last_pass)| {
-                last_pass != pass || at.elapsed() >= self.app.config.timeouts.progress
-            });
+            let is_news = state
+                .reported
+                .is_none_or(|(at, last_pass)| last_pass != pass || at.elapsed() >= self.app.config.timeouts.progress);
             if !is_news {
                 return;
             }

@@ -202,18 +202,21 @@ impl Queue {
         let number = self.newest;
         self.queued += 1;
         *self.queued_of.entry(scene).or_default() += 1;
-        self.jobs.insert(number, Job {
+        self.jobs.insert(
             number,
-            scene,
-            kind,
-            state: JobState::Queued,
-            cancel_requested: false,
-            progress: JobProgress::default(),
-            created_at: now,
-            started_at: None,
-            finished_at: None,
-            error: None,
-        });
+            Job {
+                number,
+                scene,
+                kind,
+                state: JobState::Queued,
+                cancel_requested: false,
+                progress: JobProgress::default(),
+                created_at: now,
+                started_at: None,
+                finished_at: None,
+                error: None,
+            },
+        );
         Ok(number)
     }
 
@@ -276,6 +279,7 @@ impl Queue {
     /// Takes over new progress of a running job. The fraction never falls, and is 1 only at the end.
     pub fn report(&mut self, number: JobNumber, progress: JobProgress) {
         if let Some(job) = self.jobs.get_mut(&number).filter(|job| job.state == JobState::Running) {
+            // `max` passes over NaN.
             let fraction = progress.fraction.clamp(0.0, 0.999).max(job.progress.fraction);
             job.progress = JobProgress { fraction, ..progress };
         }

@@ -1,1 +1,174 @@
-//! tests
+//! The queue and its scheduler, without threads and clocks. Whole states are compared as text.
+
+use jiff::Timestamp;
+
+use super::queue::{Cancel, Full, JobKind, JobNumber, JobProgress, JobState, Outcome, Queue, QueueLimits};
+use super::scheduler::{Decision, tick};
+
+const NOW: Timestamp = Timestamp::UNIX_EPOCH;
+
+fn queue(queued_per_scene: usize, queued: usize, finished: usize) -> Queue {
+    Queue::new(QueueLimits { queued_per_scene, queued, finished })
+}
+
+fn edit(queue: &mut Queue, scene: u64) -> JobNumber {
+    queue.push(scene, JobKind::Edit, NOW).unwrap()
+}
+
+/// Starts what the scheduler says until it waits; answers what it started.
+fn start_all(queue: &mut Queue, slots: usize) -> Vec<JobNumber> {
+    let mut started = Vec::new();
+    while let Decision::Start(job) = tick(queue, slots) {
+        assert!(queue.start(job, NOW), "a decision that cannot be carried out");
+        started.push(job);
+    }
+    started
+}
+
+#[test]
+fn a_life_of_a_queue() {
+    let mut queue = queue(10, 10, 10);
+    queue.push(1, JobKind::Bake, NOW).unwrap();
+    edit(&mut queue, 1);
+    queue.push(2, JobKind::Bake, NOW).unwrap();
+    edit(&mut queue, 1);
+    assert_eq!(start_all(&mut queue, 2), [1, 3]);
+    queue.report(1, JobProgress { fraction: 0.25, ..JobProgress::default() });
+    assert_eq!(queue.cancel(4, NOW), Cancel::Done);
+    assert_eq!(queue.cancel(1, NOW), Cancel::Requested);
+    assert_eq!(
+        queue.to_string(),
+        "1 scene 1 bake running (to be canceled) 25 %\n\
+         2 scene 1 edit queued\n\
+         3 scene 2 bake running\n\
+         4 scene 1 edit canceled\n"
+    );
+    assert!(queue.finish(1, Outcome::Canceled, NOW));
+    assert!(queue.finish(3, Outcome::Failed("the engine broke".to_owned()), NOW));
+    assert_eq!(start_all(&mut queue, 2), [2]);
+    assert!(queue.finish(2, Outcome::Succeeded, NOW));
+    assert_eq!(
+        queue.to_string(),
+        "1 scene 1 bake canceled 25 %\n\
+         2 scene 1 edit succeeded 100 %\n\
+         3 scene 2 bake failed: the engine broke\n\
+         4 scene 1 edit canceled\n"
+    );
+}
+
+#[test]
+fn a_long_queue_of_one_scene_does_not_starve_another() {
+    let mut queue = queue(100, 100, 100);
+    for scene in [1, 1, 1, 2, 3] {
+        edit(&mut queue, scene);
+    }
+    let mut order = Vec::new();
+    while let Decision::Start(job) = tick(&queue, 1) {
+        queue.start(job, NOW);
+        order.push(queue.get(job).map(|job| job.scene).unwrap());
+        queue.finish(job, Outcome::Succeeded, NOW);
+    }
+    assert_eq!(order, [1, 2, 3, 1, 1]);
+}
+
+#[test]
+fn impossible_steps_are_refused() {
+    let mut queue = queue(10, 10, 10);
+    let (first, second) = (edit(&mut queue, 1), edit(&mut queue, 1));
+    assert!(!queue.finish(first, Outcome::Succeeded, NOW), "it does not run");
+    assert!(queue.start(first, NOW));
+    assert!(!queue.start(first, NOW), "it runs already");
+    assert!(!queue.start(second, NOW), "its scene is busy");
+    assert!(queue.finish(first, Outcome::Succeeded, NOW));
+    assert!(!queue.finish(first, Outcome::Failed("late".to_owned()), NOW), "it has ended");
+    assert_eq!(queue.cancel(first, NOW), Cancel::Ended);
+    assert_eq!(queue.cancel(99, NOW), Cancel::Unknown);
+    queue.report(first, JobProgress::default());
+    assert_eq!(queue.get(first).map(|job| job.progress.fraction), Some(1.0), "what has ended does not move");
+}
+
+#[test]
+fn progress_never_falls() {
+    let mut queue = queue(10, 10, 10);
+    let job = edit(&mut queue, 1);
+    queue.start(job, NOW);
+    for (reported, shown) in [(0.3, 0.3), (0.1, 0.3), (-1.0, 0.3), (0.5, 0.5), (7.0, 0.999), (f64::NAN, 0.999)] {
+        queue.report(job, JobProgress { fraction: reported, ..JobProgress::default() });
+        assert_eq!(queue.get(job).map(|job| job.progress.fraction), Some(shown), "{reported}");
+    }
+}
+
+/// A small generator: the test needs variety, not quality.
+struct Dice(u64);
+
+impl Dice {
+    fn roll(&mut self, sides: u64) -> u64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 33) % sides
+    }
+}
+
+#[test]
+fn whatever_happens_the_rules_hold() {
+    for seed in 0..300 {
+        let mut dice = Dice(seed);
+        let mut queue = queue(3, 8, 5);
+        let (mut accepted, mut forgotten) = (0u64, 0u64);
+        for _ in 0..200 {
+            let any = 1 + dice.roll(accepted + 2);
+            match dice.roll(6) {
+                0 | 1 => match queue.push(dice.roll(4), JobKind::Edit, NOW) {
+                    Ok(number) => {
+                        accepted += 1;
+                        assert_eq!(number, accepted);
+                    }
+                    Err(Full::Scene(count)) => assert_eq!(count, 3),
+                    Err(Full::Service(count)) => assert_eq!(count, 8),
+                    Err(Full::Closed) => unreachable!("a queue is never closed by itself"),
+                },
+                2 => {
+                    start_all(&mut queue, 2);
+                }
+                3 => {
+                    queue.cancel(any, NOW);
+                }
+                4 => {
+                    queue.finish(any, Outcome::Failed("injected".to_owned()), NOW);
+                }
+                _ => {
+                    queue.finish(any, Outcome::Succeeded, NOW);
+                }
+            }
+            forgotten += queue.take_forgotten().len() as u64;
+            check(&queue);
+            assert_eq!(queue.iter().count() as u64, accepted - forgotten);
+        }
+        // In the end everything ends.
+        for _ in 0..100 {
+            for job in start_all(&mut queue, 2) {
+                queue.finish(job, Outcome::Succeeded, NOW);
+            }
+            for scene in 0..4 {
+                queue.running_on(scene).map(|job| queue.finish(job, Outcome::Canceled, NOW));
+            }
+        }
+        assert!(queue.iter().all(|job| job.state.has_ended()), "{queue}");
+    }
+}
+
+fn check(queue: &Queue) {
+    let count = |state: JobState| queue.iter().filter(|job| job.state == state).count();
+    assert!(count(JobState::Running) <= 2 && count(JobState::Running) == queue.running(), "{queue}");
+    assert!(count(JobState::Queued) <= 8, "{queue}");
+    assert!(queue.iter().filter(|job| job.state.has_ended()).count() <= 5, "{queue}");
+    for scene in 0..4 {
+        let of_scene = |state| queue.iter().filter(|job| job.scene == scene && job.state == state).count();
+        assert!(of_scene(JobState::Running) <= 1 && of_scene(JobState::Queued) <= 3, "{queue}");
+        assert_eq!(queue.has_queued(scene), of_scene(JobState::Queued) > 0, "{queue}");
+        assert_eq!(queue.open_of(scene).len(), of_scene(JobState::Running) + of_scene(JobState::Queued), "{queue}");
+    }
+    for job in queue.iter() {
+        assert_eq!(job.finished_at.is_some(), job.state.has_ended(), "{queue}");
+        assert!((0.0..=1.0).contains(&job.progress.fraction));
+    }
+}

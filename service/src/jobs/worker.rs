@@ -5,9 +5,9 @@ use std::sync::atomic::AtomicBool;
 
 use rayon::ThreadPool;
 
+use super::JobSpec;
 use super::observer::JobObserver;
 use super::queue::{JobNumber, Outcome};
-use super::JobSpec;
 use crate::compute::catching;
 use crate::engine::{Budget, Canceled, LightMap, Update};
 use crate::state::App;
@@ -79,8 +79,7 @@ fn light(app: &Arc<App>, run: &Run) -> Outcome {
         observer.shown(published.version);
         app.tell_edited(scene, Some(*job), &published);
     }
-    let budget =
-        Budget { samples_per_element: spec.budget.samples_per_element, target_rmse: spec.budget.target_rmse };
+    let budget = Budget { samples_per_element: spec.budget.samples_per_element, target_rmse: spec.budget.target_rmse };
     let engine = &app.config.engine;
     let (work, shown) = scene.work(app.config.limits.unlit_edits);
     match work {
@@ -121,10 +120,7 @@ fn light(app: &Arc<App>, run: &Run) -> Outcome {
 
 /// The map a piece of work ends with, if it ends with one that is right, and how it ended. A job out of time ends
 /// well with its last complete map.
-fn end_of(
-    observer: &JobObserver<'_>,
-    result: Result<Arc<LightMap>, Canceled>,
-) -> Option<(Arc<LightMap>, Outcome)> {
+fn end_of(observer: &JobObserver<'_>, result: Result<Arc<LightMap>, Canceled>) -> Option<(Arc<LightMap>, Outcome)> {
     let latest = observer.take_latest();
     match result {
         Ok(map) => Some((map, Outcome::Succeeded)),

@@ -26,6 +26,10 @@ pub(super) fn read_vec3(
 ) -> Result<Vec<[f32; 3]>, LoadError> {
     let (accessor, component) = expect(file, index, Type::Vec3, place)?;
     let norm = accessor.normalized;
+    let quantized = file.root.extensions_used.iter().any(|e| e == "KHR_mesh_quantization");
+    if component != ComponentType::F32 && !quantized {
+        return Err(malformed(place, "has integers for coordinates, but the file does not use KHR_mesh_quantization"));
+    }
     let read: fn(&[u8]) -> f32 = match (component, norm) {
         (ComponentType::F32, _) => |b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]),
         (ComponentType::I8, false) => |b| f32::from(b[0] as i8),

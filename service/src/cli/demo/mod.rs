@@ -3,7 +3,6 @@
 mod measure;
 mod room;
 
-use std::cell::Cell;
 use std::net::SocketAddr;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
@@ -20,7 +19,7 @@ use rebake_core::{Edit, Relight, World, WorldOptions};
 use serde_json::{Value, json};
 
 use super::exit::Interrupted;
-use super::remote::wait_for_job;
+use super::remote::{ProgressFeed, wait_for_job};
 use super::serve;
 use super::ui::{self, Table};
 use super::values::positive;
@@ -115,6 +114,8 @@ async fn steps(args: &DemoArgs, address: SocketAddr, stays: bool) -> anyhow::Res
 struct Demo {
     client: Client,
     follower: Option<DeltaFollower>,
+    /// Open across the steps, so that no event is missed.
+    feed: Option<ProgressFeed>,
     scene: String,
     room_glb: Vec<u8>,
     chair_glb: Vec<u8>,
@@ -144,6 +145,7 @@ impl Demo {
         Ok(Demo {
             client: Client::new(&format!("http://{host}"))?,
             follower: None,
+            feed: None,
             scene: String::new(),
             room_glb: write_scene_glb(&room::room())?,
             chair_glb: write_scene_glb(&room::chair())?,
@@ -164,6 +166,7 @@ impl Demo {
         let scene = self.client.create_scene(self.room_glb.clone(), &new).await?;
         self.scene.clone_from(&scene.id);
         self.follower = Some(self.client.follow(&scene.id));
+        self.feed = Some(ProgressFeed::new(self.client.clone(), &scene.id));
         let job = self.client.job(scene.job_id().context("the upload started no bake")?).await?;
         let step = self.follow(job, start).await?;
         let room = self.load(&self.room_glb)?;
@@ -185,14 +188,10 @@ impl Demo {
     /// Applies deltas until the job is done and its last version has arrived.
     async fn follow(&mut self, job: Job, start: Instant) -> anyhow::Result<Step> {
         let follower = self.follower.as_mut().context("there is no scene yet")?;
+        let feed = self.feed.as_mut().context("there is no scene yet")?;
         let client = self.client.clone();
-        // The first version may be the old light on new geometry: what counts is the first with samples in it.
-        let first_lit = Cell::new(None);
-        let ended = wait_for_job(&client, &job, |job| {
-            if first_lit.get().is_none() && job.progress.samples_per_element.is_some_and(|samples| samples > 0) {
-                first_lit.set(job.progress.version);
-            }
-        });
+        let before = follower.version();
+        let ended = wait_for_job(&client, &job);
         tokio::pin!(ended);
         let mut arrivals: Vec<(u64, Duration)> = Vec::new();
         let mut last: Option<(Job, u64)> = None;
@@ -203,6 +202,7 @@ impl Demo {
                     self.delta_bytes += update.bytes;
                     arrivals.push((update.version, start.elapsed()));
                 }
+                _ = feed.next() => {}
                 job = &mut ended, if last.is_none() => {
                     let job = job?;
                     let version = job.progress.version.with_context(|| format!("job {} published nothing", job.id))?;
@@ -214,7 +214,11 @@ impl Demo {
         let at = |version: u64| {
             arrivals.iter().find(|(v, _)| *v >= version).map_or(start.elapsed(), |(_, time)| *time).as_secs_f64()
         };
-        Ok(Step { job, first_light: at(first_lit.get().unwrap_or(version)), done: at(version) })
+        // The event of the last version comes with its frames: it is here, or will be in a moment.
+        let _ = tokio::time::timeout(Duration::from_secs(1), feed.reach(version)).await;
+        // A job's first version may be the old light on new geometry: what counts is the first with samples in it.
+        let first_lit = feed.first_lit_after(before).unwrap_or(version);
+        Ok(Step { job, first_light: at(first_lit), done: at(version) })
     }
 
     /// Compares the followed map with path tracing of the demo's copy, and prints the step's line.

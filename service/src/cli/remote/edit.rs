@@ -100,7 +100,7 @@ pub(in super::super) async fn edit(args: &EditArgs) -> anyhow::Result<()> {
     let job = interruptible(async { Ok(client.edit(&args.scene, &edit, &options).await?) }, "").await?;
     ui::out(&job.id)?;
     if args.wait {
-        let wait = wait_for_job(&client, &job, |_| ());
+        let wait = wait_for_job(&client, &job);
         note_done(&interruptible(wait, ": the update goes on at the service").await?);
     }
     Ok(())

@@ -9,7 +9,7 @@ mod watch;
 pub(super) use edit::{EditArgs, edit};
 pub(super) use pull::{PullArgs, Replacement, pull};
 pub(super) use push::{PushArgs, push};
-pub(super) use watch::{WatchArgs, watch};
+pub(super) use watch::{ProgressFeed, WatchArgs, watch};
 
 use std::path::Path;
 use std::time::Duration;
@@ -62,14 +62,10 @@ async fn interruptible<T>(work: impl Future<Output = anyhow::Result<T>>, hint: &
     }
 }
 
-/// Waits for a job with a progress bar and calls `seen` with its states on the way; an error unless it succeeds.
-pub(super) async fn wait_for_job(client: &Client, job: &Job, mut seen: impl FnMut(&Job)) -> anyhow::Result<Job> {
+/// Waits for a job with a progress bar; an error unless it succeeds.
+pub(super) async fn wait_for_job(client: &Client, job: &Job) -> anyhow::Result<Job> {
     let bar = ui::bar(if job.kind.is_empty() { "job" } else { &job.kind });
-    let show = |job: &Job| {
-        show_progress(&bar, job);
-        seen(job);
-    };
-    let ended = client.wait_for_job(&job.id, show).await;
+    let ended = client.wait_for_job(&job.id, |job| show_progress(&bar, job)).await;
     bar.finish_and_clear();
     let ended = ended?;
     match ended.state {

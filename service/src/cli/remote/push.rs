@@ -62,7 +62,7 @@ pub(in super::super) async fn push(args: PushArgs) -> anyhow::Result<()> {
     if let (true, Some(job)) = (args.wait, scene.job_id()) {
         let wait = async {
             let job = client.job(job).await?;
-            wait_for_job(&client, &job, |_| ()).await
+            wait_for_job(&client, &job).await
         };
         note_done(&interruptible(wait, ": the bake goes on at the service").await?);
     }

@@ -88,7 +88,17 @@ pub(in super::super) struct Progress {
     fraction: Option<f64>,
     pass: Option<String>,
     version: Option<u64>,
-    pub(in super::super) rmse: Option<f64>,
+    samples: Option<u64>,
+    rmse: Option<f64>,
+}
+
+/// What a `snapshot` event says about a version.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Snapshot {
+    version: u64,
+    rmse: Option<f64>,
+    /// There is new light in it, not just old light carried over to new geometry.
+    is_lit: bool,
 }
 
 impl Progress {
@@ -101,6 +111,7 @@ impl Progress {
             fraction: field("fraction").and_then(Value::as_f64),
             pass: field("pass").and_then(Value::as_str).map(str::to_owned),
             version: field("version").and_then(Value::as_u64),
+            samples: field("samples_per_element").and_then(Value::as_u64),
             rmse: field("estimated_rmse").and_then(Value::as_f64),
         };
         (progress != Progress::default()).then_some(progress)
@@ -113,7 +124,7 @@ pub(in super::super) struct ProgressFeed {
     scene: String,
     events: Option<EventStream>,
     last_id: Option<String>,
-    recent: VecDeque<(u64, f64)>,
+    recent: VecDeque<Snapshot>,
     seen: u64,
 }
 
@@ -137,15 +148,20 @@ impl ProgressFeed {
     }
 
     /// Reads on until something was said about `version`.
-    async fn reach(&mut self, version: u64) {
+    pub(in super::super) async fn reach(&mut self, version: u64) {
         while self.seen < version {
             self.next().await;
         }
     }
 
     /// The stated error of a version, where an event told it.
-    pub(in super::super) fn rmse_at(&self, version: u64) -> Option<f64> {
-        self.recent.iter().rev().find(|(of, _)| *of == version).map(|(_, rmse)| *rmse)
+    fn rmse_at(&self, version: u64) -> Option<f64> {
+        self.recent.iter().rev().find(|snapshot| snapshot.version == version)?.rmse
+    }
+
+    /// The first version after `version` with new light in it.
+    pub(in super::super) fn first_lit_after(&self, version: u64) -> Option<u64> {
+        self.recent.iter().find(|snapshot| snapshot.version > version && snapshot.is_lit).map(|s| s.version)
     }
 
     async fn next_event(&mut self) -> Result<Option<Progress>, ClientError> {
@@ -159,9 +175,12 @@ impl ProgressFeed {
         let event = events.next().await?.ok_or(ClientError::Ended)?;
         self.last_id.clone_from(&event.id);
         let progress = Progress::from_event(&event.data);
-        if let Some(Progress { version: Some(version), rmse, .. }) = &progress {
-            self.seen = self.seen.max(*version);
-            self.recent.extend(rmse.map(|rmse| (*version, rmse)));
+        // Other events tell of the version too, but not of one and the same moment.
+        if event.event == "snapshot"
+            && let Some(Progress { version: Some(version), samples, rmse, .. }) = progress
+        {
+            self.seen = self.seen.max(version);
+            self.recent.push_back(Snapshot { version, rmse, is_lit: samples.is_some_and(|samples| samples > 0) });
             while self.recent.len() > 64 {
                 self.recent.pop_front();
             }
@@ -176,7 +195,7 @@ mod tests {
 
     #[test]
     fn progress_is_found_where_the_event_has_it() {
-        let expected = Progress { fraction: Some(0.5), pass: None, version: Some(3), rmse: Some(0.25) };
+        let expected = Progress { fraction: Some(0.5), pass: None, version: Some(3), samples: None, rmse: Some(0.25) };
         for data in [
             r#"{"fraction":0.5,"version":3,"estimated_rmse":0.25}"#,
             r#"{"id":"j","progress":{"fraction":0.5,"version":3,"estimated_rmse":0.25,"pass":null}}"#,
