@@ -9,7 +9,7 @@ use crate::job::{Budget, Canceled, Observer, Pass};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
 use crate::rounds::{self, Round};
-use crate::solve::{Subset, propagate};
+use crate::solve::{Bounces, Subset, propagate};
 use crate::transport::direct::direct_of;
 use crate::transport::{LightField, Work, gather};
 use crate::world::World;
@@ -59,24 +59,27 @@ impl<'a> Baker<'a> {
         (round.begin)(Pass::Propagation, 0.25);
         // Each round solves anew, from its own direct light: rounds stay independent, so that their scatter is the
         // error of their mean, and since all is linear the mean is the solution of the mean direct light.
-        let total = self.solve(&direct, round)?;
+        let (total, bounces) = self.solve(&direct, round)?;
         (round.begin)(Pass::FinalGather, 0.4);
         let field = LightField { total: &total, near: NEAR * world.spacing() };
         let indirect = gather(world, &field, &self.slots, round.samples, round.seed, work)?;
-        Ok((direct, self.scatter(&indirect)))
+        let mut indirect = self.scatter(&indirect);
+        let missing = bounces.settle(|slot| indirect[slot] - bounces.field[slot]);
+        self.slots.iter().for_each(|&slot| indirect[slot as usize] += missing[slot as usize]);
+        Ok((direct, indirect))
     }
 
     /// Direct light and all its bounces on the subset.
-    fn solve(&self, direct: &[Vec3], round: &Round) -> Result<Vec<Vec3>, Canceled> {
+    fn solve(&self, direct: &[Vec3], round: &Round) -> Result<(Vec<Vec3>, Bounces<'_>), Canceled> {
         let mut direct = direct.to_vec();
         self.world.validity.fill(&mut direct);
         let first = |_: u32, s: &crate::transport::Surfel| {
             s.elements.map_or(Vec3::ZERO, |e| s.albedo * s.interpolate(e, &direct))
         };
         let samples = round.samples.max(SOLVE_SAMPLES);
-        let mut bounces = propagate(self.world, &self.subset, &first, samples, subseed(round.seed, 0x50), self.work)?;
-        self.world.validity.fill(&mut bounces);
-        Ok(direct.iter().zip(bounces).map(|(d, b)| *d + b).collect())
+        let bounces = propagate(self.world, &self.subset, &first, samples, subseed(round.seed, 0x50), self.work)?;
+        let total = direct.iter().zip(&bounces.field).map(|(d, b)| *d + *b).collect();
+        Ok((total, bounces))
     }
 
     fn scatter(&self, values: &[Vec3]) -> Vec<Vec3> {

@@ -9,8 +9,8 @@ use glam::{DVec3, Vec3};
 use rebake_core::export::{EXR_WIDTH, write_exr};
 use rebake_core::scene::{Light, LightKind, LoadLimits, load_glb};
 pub use rebake_core::scene::{LoadError, Scene};
-pub use rebake_core::{Budget, Canceled, Edit, EditError, EditErrorKind, LightMap, Observer, Progress};
 pub use rebake_core::surface::SurfaceError;
+pub use rebake_core::{Budget, Canceled, Edit, EditError, EditErrorKind, LightMap, Observer, Progress};
 pub use rebake_core::{Transition, World, WorldError};
 
 use crate::config::Limits;

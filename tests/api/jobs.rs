@@ -48,7 +48,7 @@ async fn progress_never_falls_and_versions_rise() {
     let job = scene["current_job"].as_str().unwrap();
     script.run(&[Step::Round; 5]);
     script.run(&[Step::Finish]);
-    let mut events = server.client.job_events(job, None).await.unwrap();
+    let mut events = server.client.job_events(job, Some("0")).await.unwrap();
     let (mut fraction, mut version) = (0.0, 0);
     while let Some((kind, _, data)) = super::server::next_event(&mut events).await {
         if kind == "job" {

@@ -164,7 +164,7 @@ fn barycentrics_are_uniform() {
         let cell = [0, 1, 4, 9][row.min(3)] + 2 * (y as usize) + upper;
         counts[cell.min(15)] += 1.0;
     }
-    assert_chi2("uniform barycentrics", &counts, &vec![n as f64 / 16.0; 16]);
+    assert_chi2("uniform barycentrics", &counts, &[n as f64 / 16.0; 16]);
 }
 
 #[test]

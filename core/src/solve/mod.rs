@@ -4,5 +4,5 @@ mod clusters;
 mod propagate;
 mod subset;
 
-pub(crate) use propagate::propagate;
+pub(crate) use propagate::{Bounces, propagate};
 pub(crate) use subset::Subset;

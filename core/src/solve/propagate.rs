@@ -20,47 +20,63 @@ struct Counts {
     rays: Vec<f64>,
 }
 
-/// Sum of all bounces of a source, per slot. `first(slot, surfel)` is the radiance that the source sends from a point;
-/// it may differ by receiver. Samples are those of the first gather; later ones need fewer.
-pub(crate) fn propagate(
-    world: &World,
-    subset: &Subset,
+/// All bounces of a source, and what is needed to correct them.
+pub(crate) struct Bounces<'a> {
+    world: &'a World,
+    subset: &'a Subset,
+    clusters: Clusters,
+    counts: Counts,
+    /// Sum of all bounces, per slot.
+    pub field: Vec<Vec3>,
+}
+
+impl Bounces<'_> {
+    /// What is missing where a better gather of the same light differs from `field` by a residual (per slot):
+    /// `Σ_{j ≥ 1} Tʲ r`, over clusters. The lowest modes of a bright room, which bounce the longest, settle at once.
+    pub(crate) fn settle(&self, residual: impl Fn(usize) -> Vec3) -> Vec<Vec3> {
+        let r: Vec<Vec3> = self.subset.slots.iter().map(|&slot| residual(slot as usize)).collect();
+        spread(self.world, self.subset, &self.clusters.tail(&self.counts.transport, &self.counts.rays, &r))
+    }
+}
+
+/// Sum of all bounces of a source. `first(slot, surfel)` is the radiance that the source sends from a point; it may
+/// differ by receiver. Samples are those of the first gather; later ones need fewer.
+pub(crate) fn propagate<'a>(
+    world: &'a World,
+    subset: &'a Subset,
     first: &(impl Fn(u32, &Surfel) -> Vec3 + Sync),
     samples: u32,
     seed: u64,
     work: &Work,
-) -> Result<Vec<Vec3>, Canceled> {
+) -> Result<Bounces<'a>, Canceled> {
     let clusters = Clusters::new(world, subset);
     let n = clusters.len();
     let mut counts = Counts { transport: vec![vec![Vec3::ZERO; n]; n], rays: vec![0.0; n] };
-    let mut u = step(world, subset, &clusters, first, samples, subseed(seed, 1), work, &mut counts)?;
-    let mut sum = u.clone();
-    if u.iter().all(|v| *v == Vec3::ZERO) {
-        return Ok(vec![Vec3::ZERO; world.slots()]);
+    let u1 = step(world, subset, &clusters, first, samples, subseed(seed, 1), work, &mut counts)?;
+    if u1.iter().all(|v| *v == Vec3::ZERO) {
+        let field = vec![Vec3::ZERO; world.slots()];
+        return Ok(Bounces { world, subset, clusters, counts, field });
     }
+    let (mut sum, mut u) = (u1.clone(), u1.clone());
     for k in 2..=GATHERS {
         let field = spread(world, subset, &u);
-        let bounce = look_up(&field);
-        u = step(
-            world,
-            subset,
-            &clusters,
-            &bounce,
-            (samples >> (k - 1)).max(4),
-            subseed(seed, u64::from(k)),
-            work,
-            &mut counts,
-        )?;
+        let samples = (samples >> (k - 1)).max(4);
+        let seed = subseed(seed, u64::from(k));
+        u = step(world, subset, &clusters, &look_up(&field), samples, seed, work, &mut counts)?;
         add(&mut sum, &u);
     }
-    // The tail is constant over clusters; one more gather of u + tail smooths it.
-    let tail = clusters.tail(&counts.transport, &counts.rays, &u);
-    add(&mut u, &tail);
-    let field = spread(world, subset, &u);
-    let last =
-        step(world, subset, &clusters, &look_up(&field), (samples / 2).max(4), subseed(seed, 99), work, &mut counts)?;
-    add(&mut sum, &last);
-    Ok(spread(world, subset, &sum))
+    add(&mut sum, &clusters.tail(&counts.transport, &counts.rays, &u));
+    // The tail is constant over clusters and a little off: one more gather gives the residual of u_1 + G[ρ X] = X,
+    // which is added with all its bounces.
+    let field = spread(world, subset, &sum);
+    let samples = (samples / 2).max(4);
+    let mut residual = step(world, subset, &clusters, &look_up(&field), samples, subseed(seed, 99), work, &mut counts)?;
+    add(&mut residual, &u1);
+    residual.iter_mut().zip(&sum).for_each(|(r, s)| *r -= *s);
+    add(&mut sum, &residual);
+    add(&mut sum, &clusters.tail(&counts.transport, &counts.rays, &residual));
+    let field = spread(world, subset, &sum);
+    Ok(Bounces { world, subset, clusters, counts, field })
 }
 
 /// Values of representatives at all slots, elements inside solids included.

@@ -183,7 +183,7 @@ impl<'a> Updater<'a> {
             change + self.repaint[s.part as usize] * s.interpolate(elements, &self.old_total)
         };
         let samples = (round.samples * 2).clamp(PROPAGATION_SAMPLES, 64);
-        propagate(world, &self.subset, &first, samples, subseed(round.seed, 0x9409), self.work)
+        propagate(world, &self.subset, &first, samples, subseed(round.seed, 0x9409), self.work).map(|b| b.field)
     }
 
     /// Whether a new row is one of an object that stays, which lay inside a solid before.

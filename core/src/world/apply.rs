@@ -238,9 +238,9 @@ impl Draft {
     fn add_object(&mut self, object: crate::scene::Object) -> Result<(), EditError> {
         let world = &self.world;
         let (surface, coarse) =
-            build::subdivide(&world.scene, &object, world.spacing, &world.options).map_err(too_large)?;
+            build::subdivide(&world.scene, &object, world.spacing, &world.options).map_err(|e| too_large(&e))?;
         let present = self.world.placed.iter().map(|p| &*p.surface).chain([&*surface]);
-        build::check_size(present, world.spacing, &world.options).map_err(too_large)?;
+        build::check_size(present, world.spacing, &world.options).map_err(|e| too_large(&e))?;
         let key = self.world.next_key;
         self.world.next_key += 1;
         let placed = build::place(&mut self.geometry, &mut self.parts, &object, surface, coarse, key, false);
@@ -446,7 +446,7 @@ fn new_rows(before: &World, after: &World, ranges: &[Range<u32>]) -> Vec<u32> {
         .collect()
 }
 
-fn too_large(error: WorldError) -> EditError {
+fn too_large(error: &WorldError) -> EditError {
     EditError { field: "asset".to_owned(), reason: error.to_string(), kind: EditErrorKind::TooLarge }
 }
 

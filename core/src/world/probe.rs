@@ -100,7 +100,7 @@ impl World {
 
 /// Whether a closed surface contains a point: parity of the crossings of one skew ray.
 fn contains(placed: &Placed, point: glam::Vec3) -> bool {
-    let direction = glam::DVec3::new(0.577_215_66, 0.693_147_18, 0.431_237_9);
+    let direction = glam::DVec3::new(0.577_215_66, 0.691_2, 0.431_237_9);
     let origin = point.as_dvec3();
     let surface = &placed.surface;
     let crossings = surface.triangles.iter().filter(|t| {

@@ -139,7 +139,8 @@ impl Sender {
             }
             let coder = self.coder.take()?;
             // Looked at before the map: what was published before the end is still sent.
-            let ends = !self.follow || *self.deleted.borrow() || *self.phase.borrow() == Phase::Closing;
+            let is_gone = *self.deleted.borrow() || self.published.has_changed().is_err();
+            let ends = !self.follow || is_gone || *self.phase.borrow() == Phase::Closing;
             let published = self.published.borrow_and_update().clone();
             if self.version.is_none_or(|version| version < published.version) {
                 if let Err(error) = self.encode(coder, published).await {
@@ -155,9 +156,9 @@ impl Sender {
                 }
             }
             self.coder = Some(coder);
-            // An error here is the end of the sender's side; the loop sees it in `deleted` or `phase`.
+            // An error is the end of the scene: the loop sees it above.
             tokio::select! {
-                changed = self.published.changed() => changed.ok()?,
+                _ = self.published.changed() => {}
                 _ = self.deleted.changed() => {}
                 _ = self.phase.changed() => {}
             }

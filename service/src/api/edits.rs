@@ -56,7 +56,7 @@ pub(super) async fn create(
     let scene = find_scene(&app, &id)?;
     require_content_type(&headers, &["application/json"])?;
     let key = idempotency_key(&headers)?;
-    let if_match = ETags::from_header(&headers, header::IF_MATCH)?;
+    let if_match = ETags::from_header(&headers, &header::IF_MATCH)?;
     let body = read_body(&app, &headers, body, app.config.limits.edit_bytes).await?;
     let body_hash = blake3::hash(&body);
 
@@ -163,7 +163,7 @@ fn edit_problem(error: EditError, is_list: bool) -> Problem {
 
 fn idempotency_key(headers: &HeaderMap) -> ApiResult<Option<String>> {
     const MAX_CHARS: usize = 255;
-    match text_header(headers, IDEMPOTENCY_KEY.clone())? {
+    match text_header(headers, &IDEMPOTENCY_KEY)? {
         None => Ok(None),
         Some(key) if (1..=MAX_CHARS).contains(&key.len()) => Ok(Some(key.to_owned())),
         Some(_) => {

@@ -94,7 +94,7 @@ fn serve(
         waiting: VecDeque::new(),
         _permit: permit,
     };
-    match text_header(headers, LAST_EVENT_ID.clone())? {
+    match text_header(headers, &LAST_EVENT_ID)? {
         None => feed.begin(first),
         // What is no number was never given: the client needs the whole state.
         Some(id) => feed.seen = id.parse().unwrap_or(u64::MAX),

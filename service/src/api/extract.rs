@@ -66,7 +66,7 @@ pub(crate) async fn read_body(app: &App, headers: &HeaderMap, body: Body, limit:
 
 /// Checks the body's media type, parameters aside.
 pub(crate) fn require_content_type(headers: &HeaderMap, accepted: &[&str]) -> ApiResult<()> {
-    let found = text_header(headers, header::CONTENT_TYPE)?;
+    let found = text_header(headers, &header::CONTENT_TYPE)?;
     let essence = found.and_then(|value| value.split(';').next()).map_or("", str::trim);
     if accepted.iter().any(|wanted| wanted.eq_ignore_ascii_case(essence)) {
         return Ok(());
@@ -77,8 +77,8 @@ pub(crate) fn require_content_type(headers: &HeaderMap, accepted: &[&str]) -> Ap
 }
 
 /// A header as text; absent or readable.
-pub(crate) fn text_header(headers: &HeaderMap, name: HeaderName) -> ApiResult<Option<&str>> {
-    let Some(value) = headers.get(&name) else { return Ok(None) };
+pub(crate) fn text_header<'a>(headers: &'a HeaderMap, name: &HeaderName) -> ApiResult<Option<&'a str>> {
+    let Some(value) = headers.get(name) else { return Ok(None) };
     let unreadable = |_| Problem::new(Kind::BadRequest, format!("the header {name} holds more than visible ASCII"));
     value.to_str().map(Some).map_err(unreadable)
 }
@@ -94,11 +94,11 @@ pub(crate) enum ETags {
 
 impl ETags {
     /// Parses all lines of a header; `None` where it is absent.
-    pub(crate) fn from_header(headers: &HeaderMap, name: HeaderName) -> ApiResult<Option<ETags>> {
+    pub(crate) fn from_header(headers: &HeaderMap, name: &HeaderName) -> ApiResult<Option<ETags>> {
         let malformed =
             || Problem::new(Kind::BadRequest, format!("the header {name} has to be * or a list of \"tags\""));
         let mut tags = Vec::new();
-        let mut lines = headers.get_all(&name).iter().peekable();
+        let mut lines = headers.get_all(name).iter().peekable();
         if lines.peek().is_none() {
             return Ok(None);
         }
@@ -183,17 +183,17 @@ impl Coding {
 mod tests {
     use super::*;
 
-    fn headers(name: HeaderName, values: &[&str]) -> HeaderMap {
+    fn headers(name: &HeaderName, values: &[&str]) -> HeaderMap {
         let mut map = HeaderMap::new();
         for value in values {
-            map.append(&name, value.parse().unwrap());
+            map.append(name, value.parse().unwrap());
         }
         map
     }
 
     #[test]
     fn entity_tags() {
-        let parse = |values: &[&str]| ETags::from_header(&headers(header::IF_MATCH, values), header::IF_MATCH);
+        let parse = |values: &[&str]| ETags::from_header(&headers(&header::IF_MATCH, values), &header::IF_MATCH);
         assert_eq!(parse(&[]).unwrap(), None);
         assert_eq!(parse(&["*"]).unwrap(), Some(ETags::Any));
         let tags = parse(&["\"1\", W/\"2\"", "\"a,b\""]).unwrap().unwrap();
@@ -206,7 +206,7 @@ mod tests {
 
     #[test]
     fn content_codings() {
-        let accepted = |values: &[&str]| Coding::accepted(&headers(header::ACCEPT_ENCODING, values));
+        let accepted = |values: &[&str]| Coding::accepted(&headers(&header::ACCEPT_ENCODING, values));
         assert_eq!(accepted(&[]), Coding::Identity);
         assert_eq!(accepted(&["gzip, deflate, br, zstd"]), Coding::Zstd);
         assert_eq!(accepted(&["gzip"]), Coding::Gzip);

@@ -83,7 +83,7 @@ pub(super) async fn get(
 ) -> ApiResult<Response> {
     let scene = find_scene(&app, &id)?;
     let published = scene.published();
-    let known = ETags::from_header(&headers, header::IF_NONE_MATCH)?;
+    let known = ETags::from_header(&headers, &header::IF_NONE_MATCH)?;
     let version = published.version.to_string();
     let about = [
         (header::ETAG, etag(published.version)),

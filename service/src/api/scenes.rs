@@ -323,7 +323,7 @@ fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::
         estimated_rmse: published.estimated_rmse.and_then(finite),
         unlit_edits: scene.unlit() as u64,
         objects: published.objects().iter().map(types::Object::new).collect(),
-        lights: world.lights().map(light).collect(),
+        lights: world.lights().map(|info| light(&info)).collect(),
         cameras: world.scene.cameras.iter().zip(0..).map(camera).collect(),
         warnings: world.scene.warnings.clone(),
         degenerate_triangles: world.scene.degenerate_triangles as u64,
@@ -332,7 +332,7 @@ fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::
     }
 }
 
-fn light(info: rebake_core::LightInfo<'_>) -> types::Light {
+fn light(info: &rebake_core::LightInfo<'_>) -> types::Light {
     use rebake_core::scene::LightKind;
     let light = info.light;
     let (object, position, direction) = match &light.kind {

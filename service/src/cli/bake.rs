@@ -13,7 +13,7 @@ use rebake_core::export::{lightmap_exr, lightmap_glb};
 use rebake_core::scene::{Light, LightKind, LoadLimits, Scene, load_glb};
 use rebake_core::{Budget, LightMap, Observer, Progress, World, WorldOptions};
 
-use super::exit::Interrupted;
+use super::exit::{self, Interrupted};
 use super::remote::Replacement;
 use super::ui;
 use super::values::{Rgb, positive};
@@ -95,9 +95,7 @@ pub(super) async fn bake(args: BakeArgs) -> anyhow::Result<()> {
         if tokio::signal::ctrl_c().await.is_ok() {
             signal.canceled.store(true, Ordering::Relaxed);
             // Loading and writing do not ask whether to go on.
-            if tokio::signal::ctrl_c().await.is_ok() {
-                std::process::exit(130);
-            }
+            exit::at_next_interrupt().await;
         }
     });
     let result = work.await.context("the bake broke down")?;

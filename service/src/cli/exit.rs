@@ -1,6 +1,7 @@
 //! How a command ends: exit status and one line that says why.
 
 use std::process::ExitCode;
+use std::time::{Duration, Instant};
 
 use rebake::client::ClientError;
 
@@ -15,6 +16,17 @@ pub(super) struct JobEnded(pub(super) String);
 #[derive(Debug, thiserror::Error)]
 #[error("interrupted{0}")]
 pub(super) struct Interrupted(pub(super) &'static str);
+
+/// After a first Ctrl-C: the next one ends the process at once. One that comes right behind the first is the same
+/// one, sent to the process and to its group.
+pub(super) async fn at_next_interrupt() {
+    let begin = Instant::now();
+    while tokio::signal::ctrl_c().await.is_ok() {
+        if begin.elapsed() > Duration::from_millis(300) {
+            std::process::exit(130);
+        }
+    }
+}
 
 /// Prints the error with its causes on one line and picks the exit status.
 pub(super) fn report(error: &anyhow::Error) -> ExitCode {

@@ -9,7 +9,7 @@ use anyhow::Context;
 use tokio::net::TcpListener;
 use tracing_subscriber::EnvFilter;
 
-use super::ui;
+use super::{exit, ui};
 
 const AFTER_HELP: &str = "\
 Prints the address it listens on, then logs to standard error (RUST_LOG chooses what, e.g. RUST_LOG=debug).
@@ -95,11 +95,7 @@ pub(super) async fn stop_signal() {
         _ = tokio::signal::ctrl_c() => {}
         () = terminate => {}
     }
-    tokio::spawn(async {
-        if tokio::signal::ctrl_c().await.is_ok() {
-            std::process::exit(130);
-        }
-    });
+    tokio::spawn(exit::at_next_interrupt());
 }
 
 /// The API description.

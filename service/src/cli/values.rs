@@ -66,21 +66,6 @@ impl FromStr for Matrix {
     }
 }
 
-/// Centre and radius of a sphere.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Sphere(pub(super) [f64; 3], pub(super) f64);
-
-impl FromStr for Sphere {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Sphere, String> {
-        match numbers(text)?[..] {
-            [x, y, z, radius] if radius > 0.0 => Ok(Sphere([x, y, z], radius)),
-            _ => Err("expected x,y,z,radius with a radius above 0".to_owned()),
-        }
-    }
-}
-
 /// A finite number above 0.
 pub(super) fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
@@ -106,7 +91,6 @@ mod tests {
         assert_eq!("1,0.5, 2".parse(), Ok(Rgb([1.0, 0.5, 2.0])));
         assert_eq!("0.5".parse(), Ok(Rgb([0.5; 3])));
         assert_eq!("-1,2,3e1".parse(), Ok(Point([-1.0, 2.0, 30.0])));
-        assert_eq!("0,1,2,0.5".parse(), Ok(Sphere([0.0, 1.0, 2.0], 0.5)));
         assert!("1,0,0,0,0,1,0,0,0,0,1,0,4,5,6,1".parse::<Matrix>().is_ok());
     }
 
@@ -117,7 +101,6 @@ mod tests {
         }
         assert!(albedo("0.2,0.3,1.01").is_err());
         assert!("1,2".parse::<Point>().is_err());
-        assert!("0,0,0,0".parse::<Sphere>().is_err());
         assert_eq!("1,2".parse::<Matrix>(), Err("expected 16 numbers, column-major, found 2".to_owned()));
         for text in ["0", "-1", "nan", "inf", "x"] {
             assert!(positive(text).is_err(), "{text:?}");

@@ -320,7 +320,7 @@ impl App {
             let Some(handle) = state.handles.get_mut(&number) else { break };
             let (Some(spec), Some(scene)) = (handle.spec.take(), handle.scene.clone()) else { break };
             let run = worker::Run { job: number, scene, cancel: handle.cancel.clone(), spec };
-            worker::spawn(self.clone(), run, pool);
+            worker::spawn(self.clone(), run, &pool);
         }
         self.jobs.running.send_replace(state.queue.running());
     }

@@ -23,7 +23,7 @@ pub(crate) struct Run {
 }
 
 /// Runs a job on `pool` and hands the pool back at the end. Whatever happens in between, the job ends.
-pub(crate) fn spawn(app: Arc<App>, run: Run, pool: Arc<ThreadPool>) {
+pub(crate) fn spawn(app: Arc<App>, run: Run, pool: &Arc<ThreadPool>) {
     let its_pool = pool.clone();
     pool.spawn(move || {
         let span = tracing::info_span!("job", job = app.ids.job(run.job), scene = run.scene.id, kind = ?run.spec.kind);

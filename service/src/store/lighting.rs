@@ -40,7 +40,7 @@ pub(crate) struct Lit<'a> {
 /// What a job has to do.
 pub(crate) enum Work {
     /// Bake this world.
-    Bake(World),
+    Bake(Box<World>),
     /// Run these transitions, one after the other, from this map.
     Update(Arc<LightMap>, Vec<(Sequence, Arc<Transition>)>),
 }
@@ -82,7 +82,7 @@ impl Lighting {
             self.distrust();
         }
         match &self.lit {
-            None => Work::Bake(published.world.clone()),
+            None => Work::Bake(Box::new(published.world.clone())),
             Some(map) => {
                 let due = self.transitions.range((Excluded(self.lit_sequence), Included(self.shown_sequence)));
                 Work::Update(map.clone(), due.map(|(s, t)| (*s, t.clone())).collect())

@@ -8,7 +8,7 @@ use rebake::client::EditOptions;
 use serde_json::{Value, json};
 
 use super::super::ui;
-use super::super::values::{Sphere, positive};
+use super::super::values::positive;
 use super::operation::{Operation, set};
 use super::{ServerArgs, interruptible, note_done, read_file, wait_for_job};
 
@@ -46,9 +46,6 @@ pub(in super::super) struct EditArgs {
     /// Budget: stop at this stated error (RMSE of radiance / albedo)
     #[arg(long, value_name = "RMSE", value_parser = positive)]
     target_rmse: Option<f64>,
-    /// Bring what lies in this sphere up to date first
-    #[arg(long, value_name = "X,Y,Z,RADIUS", allow_hyphen_values = true)]
-    focus: Option<Sphere>,
     /// Refuse if the light map is not at this version
     #[arg(long, value_name = "VERSION")]
     if_match: Option<u64>,
@@ -65,15 +62,14 @@ impl EditArgs {
         self.json.is_some() && self.operation.is_some()
     }
 
-    /// Adds budget and focus to an edit or a list of edits.
-    fn with_options(&self, mut edit: Value) -> Value {
+    /// Adds the budget to an edit or a list of edits.
+    fn with_budget(&self, mut edit: Value) -> Value {
         let mut budget = json!({});
         set(&mut budget, "samples_per_element", self.samples.map(|x| json!(x)));
         set(&mut budget, "max_seconds", self.max_seconds.map(|x| json!(x)));
         set(&mut budget, "target_rmse", self.target_rmse.map(|x| json!(x)));
         let has_budget = budget.as_object().is_some_and(|fields| !fields.is_empty());
         set(&mut edit, "budget", has_budget.then_some(budget));
-        set(&mut edit, "focus", self.focus.map(|Sphere(point, radius)| json!({"point": point, "radius": radius})));
         edit
     }
 }
@@ -96,7 +92,7 @@ pub(in super::super) async fn edit(args: &EditArgs) -> anyhow::Result<()> {
         _ => anyhow::bail!("give either an operation or --json"),
     };
     let options = EditOptions { idempotency_key: args.idempotency_key.clone(), if_match: args.if_match };
-    let edit = args.with_options(edit);
+    let edit = args.with_budget(edit);
     let job = interruptible(async { Ok(client.edit(&args.scene, &edit, &options).await?) }, "").await?;
     ui::out(&job.id)?;
     if args.wait {
@@ -134,7 +130,7 @@ mod tests {
     fn json_of(line: &str) -> Value {
         let args = Alone::try_parse_from(["edit", "s"].into_iter().chain(line.split(' '))).expect(line).edit;
         let operation = args.operation.as_ref().expect("an operation");
-        args.with_options(operation.json(operation.asset_file().map(|_| "hash".to_owned())))
+        args.with_budget(operation.json(operation.asset_file().map(|_| "hash".to_owned())))
     }
 
     #[test]
@@ -174,11 +170,10 @@ mod tests {
     }
 
     #[test]
-    fn budget_and_focus_stand_beside_the_operation() {
+    fn the_budget_stands_beside_the_operation() {
         assert_eq!(
-            json_of("--samples 8 --target-rmse 0.5 --focus 0,1,2,3 remove a"),
-            json!({"op": "remove", "objects": ["a"], "budget": {"samples_per_element": 8, "target_rmse": 0.5},
-                "focus": {"point": [0.0, 1.0, 2.0], "radius": 3.0}})
+            json_of("--samples 8 --target-rmse 0.5 remove a"),
+            json!({"op": "remove", "objects": ["a"], "budget": {"samples_per_element": 8, "target_rmse": 0.5}})
         );
     }
 

@@ -56,7 +56,8 @@ pub(in super::super) async fn pull(args: PullArgs) -> anyhow::Result<()> {
     let format = format_of(&args.output).context("the file has to end in .glb, .exr or .rbkd")?;
     let work = async {
         let mut response = client.lightmap(&args.scene, format, args.layer.as_deref()).await?;
-        let version = response.headers().get("etag").and_then(|tag| tag.to_str().ok()).unwrap_or("?").to_owned();
+        let etag = response.headers().get("etag").and_then(|tag| tag.to_str().ok()).unwrap_or("?");
+        let version = etag.trim_start_matches("W/").trim_matches('"').to_owned();
         let spinner = ui::spinner("pull");
         let mut out = Replacement::begin(&args.output)?;
         while let Some(chunk) = response.chunk().await.context("the connection was lost")? {

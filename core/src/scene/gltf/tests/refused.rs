@@ -38,7 +38,11 @@ const MALFORMED: &[(&str, &str, &str)] = &[
         "4 positions but 3 normals",
     ),
     ("\"bufferView\": 1, \"componentType\": 5126", "\"bufferView\": 1, \"componentType\": 5127", "componentType"),
-    ("\"bufferView\": 1, \"componentType\": 5126", "\"bufferView\": 1, \"componentType\": 5125", "integers for coordinates"),
+    (
+        "\"bufferView\": 1, \"componentType\": 5126",
+        "\"bufferView\": 1, \"componentType\": 5125",
+        "integers for coordinates",
+    ),
     ("\"type\": \"SCALAR\"", "\"type\": \"VEC2\"", "indices: its accessor has type Vec2"),
     ("\"type\": \"SCALAR\"", "\"type\": \"SCALER\"", "type"),
     ("\"componentType\": 5123, \"count\": 6", "\"componentType\": 5126, \"count\": 3", "unsigned integers"),
