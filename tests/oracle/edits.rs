@@ -126,7 +126,7 @@ fn relight_and_lights_that_come_go_and_move() {
     check("remove a light", &lit, &[Edit::RemoveLight { light: "bulb".into() }], Vec3::new(2.0, 0.3, 2.0));
     let sky = Edit::InsertLight { name: "sky".into(), kind: LightKind::Environment, color: Vec3::ONE, intensity: 0.5 };
     let open = world(room_objects(0.7).into_iter().filter(|o| o.name != "right").collect(), 0.15);
-    check("a sky", &open, &[sky.clone()], Vec3::new(2.8, 0.3, 1.5));
+    check("a sky", &open, std::slice::from_ref(&sky), Vec3::new(2.8, 0.3, 1.5));
     let under_sky = open.apply(&[sky]).expect("a sky").after;
     let asset = Arc::new(Scene::from_objects(vec![crate_at("c", 0.0, 0.0, Vec3::splat(0.4))]));
     let edit = Edit::Insert { asset, name: "crate".into(), transform: place(2.5, 1.9) };

@@ -55,7 +55,8 @@ fn punctual_lights_and_sky_on_a_plane() {
     let light = |name: &str, kind, intensity| Light { name: name.into(), kind, color: Vec3::ONE, intensity };
     let height = 2.0f64;
     let position = glam::DVec3::new(0.0, height, 0.0);
-    let cases: Vec<(&str, LightKind, f32, Box<dyn Fn(Vec3) -> f64>)> = vec![
+    type Exact = Box<dyn Fn(Vec3) -> f64>;
+    let cases: Vec<(&str, LightKind, f32, Exact)> = vec![
         (
             "point",
             LightKind::Point { position, range: None },

@@ -20,29 +20,48 @@ pub(crate) struct JobBudget {
 
 /// Decides how large a round may be so that a job ends on time.
 ///
-/// The first round is small, because nothing is known about its speed; every later one is planned from the speed of
-/// the one before. A job does at least one round: without it there is nothing to show for the time.
+/// A round costs something by itself and something per sample; two rounds of different size tell both. The first
+/// round is a single sample, because nothing is known before it. A job does at least that one: without it there is
+/// nothing to show for the time.
 #[derive(Debug, Default)]
 pub(crate) struct Pace {
-    round_started_secs: f64,
-    planned: u32,
+    /// The round that runs: when it began, and its samples.
+    running: Option<(f64, u32)>,
+    /// The round before the last one: its seconds and samples.
+    measured: Option<(f64, u32)>,
 }
 
 impl Pace {
-    const FIRST_ROUND: u32 = 4;
+    const FIRST_ROUND: u32 = 1;
 
     pub(crate) fn plan(&mut self, now_secs: f64, max_seconds: f64, proposed: u32) -> u32 {
-        let samples = if self.planned == 0 {
-            proposed.min(Pace::FIRST_ROUND)
-        } else {
-            let secs_per_sample = (now_secs - self.round_started_secs).max(1e-9) / f64::from(self.planned);
-            let room = (max_seconds - now_secs) / secs_per_sample;
-            // Rounds do not get faster; `as` saturates, negative rooms become 0.
-            proposed.min(room as u32)
+        let samples = match self.running {
+            None => proposed.min(Pace::FIRST_ROUND),
+            Some((started_secs, samples)) => {
+                let last = (now_secs - started_secs, samples);
+                let (secs_per_round, secs_per_sample) = self.speed(last);
+                self.measured = Some(last);
+                // `as` saturates: where there is no room left this is 0.
+                proposed.min(((max_seconds - now_secs - secs_per_round) / secs_per_sample) as u32)
+            }
         };
-        self.round_started_secs = now_secs;
-        self.planned = samples;
+        self.running = Some((now_secs, samples));
         samples
+    }
+
+    /// Seconds per round and, on top, per sample.
+    fn speed(&self, (secs, samples): (f64, u32)) -> (f64, f64) {
+        const SHORTEST: f64 = 1e-9;
+        let all_per_sample = (secs / f64::from(samples.max(1))).max(SHORTEST);
+        match self.measured {
+            Some((before_secs, before)) if before < samples => {
+                let per_sample = (secs - before_secs) / f64::from(samples - before);
+                // Noise can make larger rounds look free or rounds themselves cheaper than nothing.
+                let per_sample = per_sample.clamp(0.25 * all_per_sample, all_per_sample).max(SHORTEST);
+                (secs - per_sample * f64::from(samples), per_sample)
+            }
+            _ => (0.0, all_per_sample),
+        }
     }
 }
 
@@ -215,7 +234,7 @@ mod tests {
     fn ends_at(max_seconds: f64, secs_per_sample: f64, secs_per_round: f64) -> f64 {
         let (mut pace, mut now, mut done) = (Pace::default(), 0.0, 0u32);
         loop {
-            let samples = pace.plan(now, max_seconds, done.max(1));
+            let samples = pace.plan(now, max_seconds, done.max(4));
             if samples == 0 {
                 return now;
             }
@@ -227,18 +246,19 @@ mod tests {
     #[test]
     fn time_budgets_are_met() {
         for max in [1.0, 5.0, 60.0] {
-            for rate in [0.001, 0.01, 0.1] {
-                let end = ends_at(max, rate, rate * 0.5);
-                assert!(end <= max * 1.1, "{end} s of {max} s at {rate} s per sample");
-                assert!(end >= max * 0.7, "{end} s of {max} s at {rate} s per sample");
+            for rate in [0.0005, 0.001, 0.01, 0.05] {
+                for fixed in [0.0, 0.5, 4.0] {
+                    let end = ends_at(max, rate, rate * fixed);
+                    assert!(end <= max * 1.05, "{end} s of {max} s at {rate} s per sample, {fixed} samples per round");
+                    assert!(end >= max * 0.6, "{end} s of {max} s at {rate} s per sample, {fixed} samples per round");
+                }
             }
         }
     }
 
     #[test]
     fn at_least_one_round_is_done() {
-        assert!(ends_at(0.01, 3.0, 0.0) <= 12.0);
-        assert!(ends_at(0.01, 3.0, 0.0) > 0.0);
+        assert_eq!(ends_at(0.01, 3.0, 1.0), 4.0);
     }
 
     #[test]

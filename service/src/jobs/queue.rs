@@ -240,6 +240,9 @@ impl Queue {
     pub fn finish(&mut self, number: JobNumber, outcome: Outcome, now: Timestamp) -> bool {
         let Some(job) = self.jobs.get_mut(&number).filter(|job| job.state == JobState::Running) else { return false };
         job.finished_at = Some(now);
+        if let Some(started_at) = job.started_at {
+            job.progress.elapsed_ms = now.duration_since(started_at).as_millis().try_into().unwrap_or(0);
+        }
         (job.state, job.error) = match outcome {
             Outcome::Succeeded => (JobState::Succeeded, None),
             Outcome::Failed(error) => (JobState::Failed, Some(error)),
