@@ -10,6 +10,7 @@ mod elements;
 mod events;
 mod extract;
 mod health;
+mod job_types;
 mod jobs;
 mod lightmap;
 mod openapi;

@@ -7,9 +7,8 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+pub use super::job_types::{Job, JobKind, JobProgress, JobState};
 use crate::engine;
-use crate::jobs::queue;
-use crate::state::Ids;
 use crate::store::versions::{Layer, Mode};
 
 /// What a scene's light map holds.
@@ -253,129 +252,6 @@ pub struct Asset {
     pub triangles: u64,
     /// What the file asked for and did not get.
     pub warnings: Vec<String>,
-}
-
-/// What a job does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum JobKind {
-    /// Lights a scene from scratch, after an upload.
-    Bake,
-    /// Brings the light map up to date after an edit.
-    Edit,
-}
-
-/// Where a job stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum JobState {
-    /// Waits for its turn.
-    Queued,
-    /// Runs.
-    Running,
-    /// Done.
-    Succeeded,
-    /// Ended by an error.
-    Failed,
-    /// Ended by a client or by the end of the service.
-    Canceled,
-}
-
-impl From<queue::JobState> for JobState {
-    fn from(state: queue::JobState) -> JobState {
-        match state {
-            queue::JobState::Queued => JobState::Queued,
-            queue::JobState::Running => JobState::Running,
-            queue::JobState::Succeeded => JobState::Succeeded,
-            queue::JobState::Failed => JobState::Failed,
-            queue::JobState::Canceled => JobState::Canceled,
-        }
-    }
-}
-
-/// The work that brings a light map up to date.
-#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
-pub struct Job {
-    /// Stable id.
-    #[schema(example = "j4-k3f9qz")]
-    pub id: String,
-    /// The scene's id.
-    #[schema(example = "s1-k3f9qz")]
-    pub scene: String,
-    /// What it does.
-    pub kind: JobKind,
-    /// Where it stands.
-    pub state: JobState,
-    /// It runs and was asked to stop.
-    pub cancel_requested: bool,
-    /// How far it is.
-    pub progress: JobProgress,
-    /// When it was accepted.
-    #[schema(value_type = String, format = DateTime, example = "2026-11-23T09:00:00Z")]
-    pub created_at: Timestamp,
-    /// When it began.
-    #[schema(value_type = Option<String>, format = DateTime)]
-    pub started_at: Option<Timestamp>,
-    /// When it ended.
-    #[schema(value_type = Option<String>, format = DateTime)]
-    pub finished_at: Option<Timestamp>,
-    /// Why it failed.
-    pub error: Option<String>,
-}
-
-impl Job {
-    pub(crate) fn new(ids: &Ids, job: &queue::Job, scene: &str) -> Job {
-        let progress = &job.progress;
-        Job {
-            id: ids.job(job.number),
-            scene: scene.to_owned(),
-            kind: match job.kind {
-                queue::JobKind::Bake => JobKind::Bake,
-                queue::JobKind::Edit => JobKind::Edit,
-            },
-            state: job.state.into(),
-            cancel_requested: job.cancel_requested,
-            progress: JobProgress {
-                fraction: progress.fraction,
-                pass: progress.pass.map(str::to_owned),
-                samples_per_element: progress.samples_per_element,
-                elapsed_ms: progress.elapsed_ms,
-                estimated_rmse: progress.estimated_rmse.and_then(finite),
-                rays: progress.rays,
-                version: progress.version,
-            },
-            created_at: job.created_at,
-            started_at: job.started_at,
-            finished_at: job.finished_at,
-            error: job.error.clone(),
-        }
-    }
-}
-
-/// How far a job is.
-#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
-pub struct JobProgress {
-    /// Part of the budget that is used, 0 to 1; never falls.
-    #[schema(example = 0.4)]
-    pub fraction: f64,
-    /// What is being done: `direct`, `object`, `source`, `propagation` or `final_gather`.
-    #[schema(example = "final_gather")]
-    pub pass: Option<String>,
-    /// Samples per element of the rounds that are finished.
-    #[schema(example = 16)]
-    pub samples_per_element: u32,
-    /// Since the job started.
-    #[schema(example = 412)]
-    pub elapsed_ms: u64,
-    /// Stated error of the newest version: area-weighted RMSE (irradiance / π).
-    #[schema(example = 0.012)]
-    pub estimated_rmse: Option<f32>,
-    /// Rays traced.
-    #[schema(example = 1_200_345)]
-    pub rays: u64,
-    /// Newest version that the job published.
-    #[schema(example = 7)]
-    pub version: Option<u64>,
 }
 
 /// One page of scenes.
