@@ -41,7 +41,7 @@ const ROWS: usize = 48;
 const COLUMNS: usize = 96;
 const SAMPLES: usize = 400_000;
 
-/// Compares a sampler of directions with its density over a grid in (cos θ, φ), the density integrated by 40² points.
+/// Compares a sampler of directions with its density over a grid in (cos θ, φ), the density integrated by 16² points.
 fn check_directions(name: &str, sample: impl Fn([f32; 2]) -> Vec3, pdf: impl Fn(Vec3) -> f32) {
     let mut rng = Pcg32::new(11, name.len() as u64);
     let mut counts = vec![0.0; ROWS * COLUMNS];
@@ -52,7 +52,7 @@ fn check_directions(name: &str, sample: impl Fn([f32; 2]) -> Vec3, pdf: impl Fn(
         let column = (((d.y.atan2(d.x) / TAU + 1.0).fract() * COLUMNS as f32) as usize).min(COLUMNS - 1);
         counts[row * COLUMNS + column] += 1.0;
     }
-    let steps = 40;
+    let steps = 16;
     let cell = 2.0 * TAU / (ROWS * COLUMNS * steps * steps) as f32;
     let mut expected = vec![0.0f64; ROWS * COLUMNS];
     for (i, e) in expected.iter_mut().enumerate() {
@@ -115,7 +115,7 @@ fn directions_follow_their_densities() {
             "spherical triangle",
             |u| triangle.sample(u),
             |d| {
-                if inside(d * sign) && d.dot(corners[0] + corners[1] + corners[2]) > 0.0 { triangle.pdf() } else { 0.0 }
+                if inside(d * sign) { triangle.pdf() } else { 0.0 }
             },
         );
     }
