@@ -16,7 +16,7 @@ pub struct Spheres {
 }
 
 impl Spheres {
-    /// Splits triangles at medians, always the group whose sphere is largest, until [`MAX_SPHERES`] spheres stand or
+    /// Splits triangles at medians, always the group whose sphere is largest, until sixteen spheres stand or
     /// splitting gains nothing.
     pub fn new(triangles: &[[Vec3; 3]]) -> Spheres {
         let mut groups: Vec<(Vec3, f32, Vec<u32>)> = Vec::new();

@@ -8,7 +8,7 @@ use crate::scene::{Light, LightKind};
 /// An object as clients see it.
 #[derive(Clone, Debug)]
 pub struct ObjectInfo<'a> {
-    /// Position in the list of objects: what [`World::object_of`] answers.
+    /// Position in the list of objects: what [`World::object_indices`] answers.
     pub index: u32,
     /// Unique name.
     pub name: &'a str,
