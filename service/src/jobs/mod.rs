@@ -1,4 +1,4 @@
-//! Jobs: [`queue`] is their state, [`scheduler`] decides, [`worker`] runs, [`observer`] speaks for the service while
+//! Jobs: [`queue`] is their state, [`scheduler`] decides, `worker` runs, `observer` speaks for the service while
 //! the engine computes.
 
 pub(crate) mod observer;
