@@ -163,7 +163,7 @@ impl<'a> Updater<'a> {
             seen_by_old[slot] = direct[slot] + indirect[slot];
         }
         // Elements that came out of a solid had a value copied from neighbours, and S has looked that up.
-        for &slot in self.transition.new_rows.iter().filter(|&&slot| self.was_filled(slot)) {
+        for &slot in &self.transition.filled_rows {
             let slot = slot as usize;
             seen_by_old[slot] = direct[slot] + indirect[slot] - self.before_total[slot];
         }
@@ -184,12 +184,6 @@ impl<'a> Updater<'a> {
         };
         let samples = (round.samples * 2).clamp(PROPAGATION_SAMPLES, 64);
         propagate(world, &self.subset, &first, samples, subseed(round.seed, 0x9409), self.work).map(|b| b.field)
-    }
-
-    /// Whether a new row is one of an object that stays, which lay inside a solid before.
-    fn was_filled(&self, slot: u32) -> bool {
-        let t = self.transition;
-        !t.is_come(slot) && (slot as usize) < self.before_total.len()
     }
 
     fn new_flags(&self) -> Vec<bool> {

@@ -29,6 +29,8 @@ pub struct Transition {
     /// Elements without an old value that is worth anything: of inserted and moved objects, and those that came out
     /// of solids. Valid ones only, ascending.
     pub(crate) new_rows: Vec<u32>,
+    /// Those of them that belong to objects that stay: they had values copied from neighbours.
+    pub(crate) filled_rows: Vec<u32>,
 }
 
 impl std::fmt::Debug for Transition {
@@ -55,14 +57,6 @@ impl Transition {
             }
         }
         next
-    }
-
-    /// Whether a slot belongs to an object whose geometry is new.
-    pub(crate) fn is_come(&self, slot: u32) -> bool {
-        let (old, new) = (&self.before, &self.after);
-        let owner = new.geometry.owners[slot as usize];
-        let surface = |w: &World| w.placed.iter().find(|p| p.key == owner).map(|p| Arc::as_ptr(&p.surface));
-        surface(old) != surface(new)
     }
 
     /// Corners of everything that came or went.
@@ -355,7 +349,17 @@ impl Draft {
         let come_tree = merged_tree(come_trees.map(|p| &**p));
         let gone_tree = merged_tree(gone.values().map(|p| &**p));
         let new_rows = new_rows(before, &world, &ranges);
-        Ok(Transition { before: before.clone(), common, gone: gone_tree, come: come_tree, new_rows, after: world })
+        let came = |slot: &u32| ranges.iter().any(|r| r.contains(slot));
+        let filled_rows = new_rows.iter().copied().filter(|slot| !came(slot)).collect();
+        Ok(Transition {
+            before: before.clone(),
+            common,
+            gone: gone_tree,
+            come: come_tree,
+            new_rows,
+            filled_rows,
+            after: world,
+        })
     }
 
     /// Moves the drafted arrays into the world.
