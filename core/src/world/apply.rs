@@ -7,77 +7,11 @@ use std::sync::Arc;
 use glam::{DMat4, DVec3, Vec3};
 
 use super::build;
-use super::{Geometry, Part, Placed, Trees, Validity, World, WorldError, probe};
+use super::check::{check_kind, check_strength, check_transform, error, invalid, unknown};
+use super::{Geometry, Part, Placed, Transition, Validity, World, WorldError, probe};
 use crate::bvh::{BuildQuality, Bvh, TriangleMask};
 use crate::edit::{Edit, EditError, EditErrorKind, Relight, name_matches};
-use crate::lightmap::LightMap;
 use crate::scene::{Light, LightKind, merge_as_object};
-
-/// From one world to the next: what an update needs to know.
-#[derive(Clone)]
-pub struct Transition {
-    /// The world the present map is right for.
-    pub before: World,
-    /// The world after all edits.
-    pub after: World,
-    /// What stands in both worlds.
-    pub(crate) common: Trees,
-    /// What stood only in `before`; ids are triangle slots of `before`.
-    pub(crate) gone: Option<Arc<Bvh>>,
-    /// What stands only in `after`; ids are triangle slots of `after`.
-    pub(crate) come: Option<Arc<Bvh>>,
-    /// Elements without an old value that is worth anything: of inserted and moved objects, and those that came out
-    /// of solids. Valid ones only, ascending.
-    pub(crate) new_rows: Vec<u32>,
-    /// Those of them that belong to objects that stay: they had values copied from neighbours.
-    pub(crate) filled_rows: Vec<u32>,
-}
-
-impl std::fmt::Debug for Transition {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Transition")
-            .field("slots", &(self.before.slots(), self.after.slots()))
-            .field("gone", &self.gone.as_ref().map(|t| t.triangle_count()))
-            .field("come", &self.come.as_ref().map(|t| t.triangle_count()))
-            .field("new_rows", &self.new_rows.len())
-            .finish_non_exhaustive()
-    }
-}
-
-impl Transition {
-    /// The old map in the slots of the new world: old values where elements stay, zero where they go or come.
-    pub fn carry_over(&self, map: &LightMap) -> LightMap {
-        let mut next = LightMap::black(self.after.slots());
-        let (old, new) = (&self.before.geometry.owners, &self.after.geometry.owners);
-        for i in 0..old.len().min(new.len()).min(map.len()) {
-            if old[i] == new[i] && new[i] != super::NO_OBJECT {
-                next.direct[i] = map.direct[i];
-                next.indirect[i] = map.indirect[i];
-                next.variance[i] = map.variance[i];
-            }
-        }
-        next
-    }
-
-    /// Corners of everything that came or went.
-    pub(crate) fn changed_triangles(&self) -> Vec<[Vec3; 3]> {
-        let of = |placed: &Placed| build::corners_of(placed).0;
-        let same = |a: &Placed, b: &Placed| a.key == b.key && Arc::ptr_eq(&a.surface, &b.surface);
-        let only = |these: &[Arc<Placed>], those: &[Arc<Placed>]| -> Vec<[Vec3; 3]> {
-            let known: BTreeMap<u32, &Arc<Placed>> = those.iter().map(|p| (p.key, p)).collect();
-            let differs = |p: &&Arc<Placed>| !known.get(&p.key).is_some_and(|q| same(p, q));
-            these.iter().filter(differs).flat_map(|p| of(p)).collect()
-        };
-        let mut triangles = only(&self.before.placed, &self.after.placed);
-        triangles.extend(only(&self.after.placed, &self.before.placed));
-        triangles
-    }
-
-    /// Whether geometry changed (and not only light or albedo).
-    pub fn moves_geometry(&self) -> bool {
-        self.gone.is_some() || self.come.is_some()
-    }
-}
 
 impl World {
     /// Applies edits as a unit. On an error nothing has changed and the error names the field at fault.
@@ -91,18 +25,6 @@ impl World {
         }
         draft.finish(self)
     }
-}
-
-fn error(field: &str, reason: impl Into<String>, kind: EditErrorKind) -> EditError {
-    EditError { field: field.to_owned(), reason: reason.into(), kind }
-}
-
-fn unknown(field: &str, what: &str, name: &str) -> EditError {
-    error(field, format!("there is no {what} named {name:?}"), EditErrorKind::NotFound)
-}
-
-fn invalid(field: &str, reason: &str) -> EditError {
-    error(field, reason, EditErrorKind::Invalid)
 }
 
 /// A world under construction.
@@ -452,49 +374,6 @@ fn new_rows(before: &World, after: &World, ranges: &[Range<u32>]) -> Vec<u32> {
 
 fn too_large(error: &WorldError) -> EditError {
     EditError { field: "asset".to_owned(), reason: error.to_string(), kind: EditErrorKind::TooLarge }
-}
-
-fn check_transform(m: &DMat4) -> Result<(), EditError> {
-    if !m.is_finite() {
-        return Err(invalid("transform", "must hold 16 finite numbers"));
-    }
-    if (m.row(3) - glam::DVec4::W).abs().max_element() > 1e-6 {
-        return Err(invalid("transform", "must be affine: its last row is not 0, 0, 0, 1 (16 numbers, column-major)"));
-    }
-    let determinant = m.determinant().abs();
-    let scale = m.x_axis.length() * m.y_axis.length() * m.z_axis.length();
-    if determinant <= 1e-9 * scale || scale <= 0.0 {
-        return Err(invalid("transform", "must be invertible"));
-    }
-    Ok(())
-}
-
-fn check_strength(color: Option<Vec3>, intensity: Option<f32>) -> Result<(), EditError> {
-    if color.is_some_and(|c| !c.is_finite() || c.cmplt(Vec3::ZERO).any()) {
-        return Err(invalid("color", "must hold three finite numbers of at least 0"));
-    }
-    if intensity.is_some_and(|i| !i.is_finite() || i < 0.0) {
-        return Err(invalid("intensity", "must be a finite number of at least 0"));
-    }
-    let strength = color.unwrap_or(Vec3::ONE) * intensity.unwrap_or(1.0);
-    if strength.max_element() > 1e12 {
-        return Err(invalid("intensity", "colour times intensity must not pass 1e12"));
-    }
-    Ok(())
-}
-
-fn check_kind(kind: &LightKind) -> Result<(), EditError> {
-    let finite = match kind {
-        LightKind::Point { position, .. } => position.is_finite(),
-        LightKind::Spot { position, direction, .. } => position.is_finite() && direction.is_normalized(),
-        LightKind::Directional { direction } => direction.is_normalized(),
-        LightKind::Environment | LightKind::Emissive { .. } => true,
-    };
-    if finite {
-        Ok(())
-    } else {
-        Err(invalid("light", "position and direction must be finite, and the direction not zero"))
-    }
 }
 
 fn move_light(kind: &mut LightKind, to: Option<DVec3>, turn: Option<Vec3>) -> Result<(), EditError> {

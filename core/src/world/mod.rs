@@ -3,17 +3,19 @@
 
 mod apply;
 mod build;
+mod check;
 mod coarse;
 mod emitters;
 mod geometry;
 mod info;
 mod probe;
+mod transition;
 mod trees;
 mod validity;
 
-pub use apply::Transition;
 pub use geometry::NO_OBJECT;
 pub use info::{LightInfo, ObjectInfo};
+pub use transition::Transition;
 pub use trees::Trees;
 
 pub(crate) use coarse::Coarse;

@@ -1,0 +1,76 @@
+//! From one world to the next.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use glam::Vec3;
+
+use super::{Placed, Trees, World, build};
+use crate::bvh::Bvh;
+use crate::lightmap::LightMap;
+
+/// From one world to the next: what an update needs to know.
+#[derive(Clone)]
+pub struct Transition {
+    /// The world the present map is right for.
+    pub before: World,
+    /// The world after all edits.
+    pub after: World,
+    /// What stands in both worlds.
+    pub(crate) common: Trees,
+    /// What stood only in `before`; ids are triangle slots of `before`.
+    pub(crate) gone: Option<Arc<Bvh>>,
+    /// What stands only in `after`; ids are triangle slots of `after`.
+    pub(crate) come: Option<Arc<Bvh>>,
+    /// Elements without an old value that is worth anything: of inserted and moved objects, and those that came out
+    /// of solids. Valid ones only, ascending.
+    pub(crate) new_rows: Vec<u32>,
+    /// Those of them that belong to objects that stay: they had values copied from neighbours.
+    pub(crate) filled_rows: Vec<u32>,
+}
+
+impl std::fmt::Debug for Transition {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Transition")
+            .field("slots", &(self.before.slots(), self.after.slots()))
+            .field("gone", &self.gone.as_ref().map(|t| t.triangle_count()))
+            .field("come", &self.come.as_ref().map(|t| t.triangle_count()))
+            .field("new_rows", &self.new_rows.len())
+            .finish_non_exhaustive()
+    }
+}
+
+impl Transition {
+    /// The old map in the slots of the new world: old values where elements stay, zero where they go or come.
+    pub fn carry_over(&self, map: &LightMap) -> LightMap {
+        let mut next = LightMap::black(self.after.slots());
+        let (old, new) = (&self.before.geometry.owners, &self.after.geometry.owners);
+        for i in 0..old.len().min(new.len()).min(map.len()) {
+            if old[i] == new[i] && new[i] != super::NO_OBJECT {
+                next.direct[i] = map.direct[i];
+                next.indirect[i] = map.indirect[i];
+                next.variance[i] = map.variance[i];
+            }
+        }
+        next
+    }
+
+    /// Corners of everything that came or went.
+    pub(crate) fn changed_triangles(&self) -> Vec<[Vec3; 3]> {
+        let of = |placed: &Placed| build::corners_of(placed).0;
+        let same = |a: &Placed, b: &Placed| a.key == b.key && Arc::ptr_eq(&a.surface, &b.surface);
+        let only = |these: &[Arc<Placed>], those: &[Arc<Placed>]| -> Vec<[Vec3; 3]> {
+            let known: BTreeMap<u32, &Arc<Placed>> = those.iter().map(|p| (p.key, p)).collect();
+            let differs = |p: &&Arc<Placed>| !known.get(&p.key).is_some_and(|q| same(p, q));
+            these.iter().filter(differs).flat_map(|p| of(p)).collect()
+        };
+        let mut triangles = only(&self.before.placed, &self.after.placed);
+        triangles.extend(only(&self.after.placed, &self.before.placed));
+        triangles
+    }
+
+    /// Whether geometry changed (and not only light or albedo).
+    pub fn moves_geometry(&self) -> bool {
+        self.gone.is_some() || self.come.is_some()
+    }
+}
