@@ -9,13 +9,13 @@ use crate::job::{Budget, Canceled, Observer, Pass};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
 use crate::rounds::{self, Round};
-use crate::solve::{Bounces, Subset, propagate};
+use crate::solve::{Exchange, Rows, Subset};
 use crate::transport::direct::direct_of;
-use crate::transport::{LightField, Work, gather};
+use crate::transport::{LightField, Surfel, Work, gather};
 use crate::world::World;
 
-/// Samples per representative at least.
-const SOLVE_SAMPLES: u32 = 16;
+/// Samples per representative and round: at least, at most.
+const SOLVE_SAMPLES: (u32, u32) = (16, 64);
 
 /// Hits nearer than this many spacings are not looked up ([`LightField::near`]).
 pub(crate) const NEAR: f32 = 2.0;
@@ -36,12 +36,14 @@ pub(crate) struct Baker<'a> {
     world: &'a World,
     slots: Vec<u32>,
     subset: Subset,
+    rows: Rows,
     work: &'a Work<'a>,
 }
 
 impl<'a> Baker<'a> {
     pub(crate) fn new(world: &'a World, work: &'a Work<'a>) -> Baker<'a> {
-        Baker { world, slots: world.computed_slots(), subset: Subset::new(world), work }
+        let subset = Subset::new(world);
+        Baker { world, slots: world.computed_slots(), rows: Rows::all(&subset), subset, work }
     }
 
     /// The mean of all rounds.
@@ -59,27 +61,37 @@ impl<'a> Baker<'a> {
         (round.begin)(Pass::Propagation, 0.25);
         // Each round solves anew, from its own direct light: rounds stay independent, so that their scatter is the
         // error of their mean, and since all is linear the mean is the solution of the mean direct light.
-        let (total, bounces) = self.solve(&direct, round)?;
+        let (exchange, bounces) = self.solve(&direct, round)?;
+        let total: Vec<Vec3> = direct.iter().zip(&bounces).map(|(d, b)| *d + *b).collect();
         (round.begin)(Pass::FinalGather, 0.4);
         let field = LightField { total: &total, near: NEAR * world.spacing() };
         let indirect = gather(world, &field, &self.slots, round.samples, round.seed, work)?;
         let mut indirect = self.scatter(&indirect);
-        let missing = bounces.settle(|slot| indirect[slot] - bounces.field[slot]);
+        // The gather, with the near-field rule and at all elements, is better than the solution that it looked up. What
+        // it found anew has bounces of its own.
+        let of_row = |&m: &u32| self.subset.slots[m as usize] as usize;
+        let residual: Vec<Vec3> = self.rows.members.iter().map(of_row).map(|s| indirect[s] - bounces[s]).collect();
+        let missing = self.spread(&exchange, &exchange.settle(&residual));
         self.slots.iter().for_each(|&slot| indirect[slot as usize] += missing[slot as usize]);
         Ok((direct, indirect))
     }
 
-    /// Direct light and all its bounces on the subset.
-    fn solve(&self, direct: &[Vec3], round: &Round) -> Result<(Vec<Vec3>, Bounces<'_>), Canceled> {
+    /// All bounces of the direct light, on the subset and interpolated to all slots.
+    fn solve(&self, direct: &[Vec3], round: &Round) -> Result<(Exchange<'_>, Vec<Vec3>), Canceled> {
         let mut direct = direct.to_vec();
         self.world.validity.fill(&mut direct);
-        let first = |_: u32, s: &crate::transport::Surfel| {
-            s.elements.map_or(Vec3::ZERO, |e| s.albedo * s.interpolate(e, &direct))
-        };
-        let samples = round.samples.max(SOLVE_SAMPLES);
-        let bounces = propagate(self.world, &self.subset, &first, samples, subseed(round.seed, 0x50), self.work)?;
-        let total = direct.iter().zip(&bounces.field).map(|(d, b)| *d + *b).collect();
-        Ok((total, bounces))
+        let source = |_: u32, s: &Surfel| s.elements.map_or(Vec3::ZERO, |e| s.albedo * s.interpolate(e, &direct));
+        let samples = round.samples.clamp(SOLVE_SAMPLES.0, SOLVE_SAMPLES.1);
+        let seed = subseed(round.seed, 0x50);
+        let exchange = Exchange::trace(self.world, &self.subset, &self.rows, &source, samples, seed, self.work)?;
+        let bounces = self.spread(&exchange, &exchange.all_bounces(&exchange.first));
+        Ok((exchange, bounces))
+    }
+
+    fn spread(&self, exchange: &Exchange, values: &[Vec3]) -> Vec<Vec3> {
+        let mut field = self.subset.interpolate(&exchange.to_representatives(&self.subset, values));
+        self.world.validity.fill(&mut field);
+        field
     }
 
     fn scatter(&self, values: &[Vec3]) -> Vec<Vec3> {

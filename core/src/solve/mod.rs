@@ -1,8 +1,9 @@
-//! All further bounces of a source: on a subset of the elements, with the tail closed by a solve over clusters.
+//! All further bounces of a source, on a subset of the elements: rays are traced once and kept as a sparse matrix, and
+//! the system is solved on it.
 
-mod clusters;
-mod propagate;
+mod exchange;
+mod gmres;
 mod subset;
 
-pub(crate) use propagate::{Bounces, propagate};
+pub(crate) use exchange::{Exchange, Rows};
 pub(crate) use subset::Subset;

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::bvh::Ray;
-use crate::world::{Placed, World};
+use crate::transport::Surfel;
+use crate::world::{Hidden, Placed, World};
 
 const NONE: u32 = u32::MAX;
 
@@ -15,6 +15,8 @@ pub(crate) struct Subset {
     /// Element slots of the representatives, object by object.
     pub slots: Vec<u32>,
     sides: Vec<Side>,
+    /// Index of the front's side, by part; the back's comes next.
+    side_of_part: Vec<u32>,
     len: usize,
 }
 
@@ -22,10 +24,11 @@ pub(crate) struct Subset {
 struct Side {
     placed: Arc<Placed>,
     first_slot: u32,
+    back: bool,
     /// Per representative of the object: index into `Subset::slots`, or `NONE` where it is not computed.
     index: Vec<u32>,
     /// Entries of the object's weights whose representative the element does not see: a wall stands between.
-    hidden: Vec<bool>,
+    hidden: Arc<Hidden>,
     /// Elements none of whose representatives is computed: (element of the object, index into `Subset::slots`).
     alone: Vec<(u32, u32)>,
 }
@@ -33,26 +36,29 @@ struct Side {
 impl Subset {
     /// Collects the representatives of a world.
     pub(crate) fn new(world: &World) -> Subset {
-        let mut subset = Subset { slots: Vec::new(), sides: Vec::new(), len: world.slots() };
-        for placed in &world.placed {
+        let side_of_part = vec![0; world.parts.len()];
+        let mut subset = Subset { slots: Vec::new(), sides: Vec::new(), side_of_part, len: world.slots() };
+        for (placed, object) in world.placed.iter().zip(&world.scene.objects) {
             let front = placed.surface.positions.len() as u32;
-            subset.add_side(world, placed, placed.placement.elements.start);
+            let parts = placed.parts_first as usize..placed.parts_first as usize + object.materials.len();
+            subset.side_of_part[parts].fill(subset.sides.len() as u32);
+            subset.add_side(world, placed, placed.placement.elements.start, false);
             if placed.with_back {
-                subset.add_side(world, placed, placed.placement.elements.start + front);
+                subset.add_side(world, placed, placed.placement.elements.start + front, true);
             }
         }
         subset
     }
 
-    fn add_side(&mut self, world: &World, placed: &Arc<Placed>, first_slot: u32) {
+    fn add_side(&mut self, world: &World, placed: &Arc<Placed>, first_slot: u32, back: bool) {
         let coarse = &placed.coarse;
-        let hidden = hidden_entries(world, placed, first_slot);
+        let hidden = world.sight.get(&placed.key).cloned().unwrap_or_default();
         let computed = |element: u32| {
             let slot = (first_slot + element) as usize;
             world.geometry.areas[slot] > 0.0 && world.validity.is_valid(slot)
         };
         let mut index = Vec::with_capacity(coarse.representatives.len());
-        let mut complete = !hidden.iter().any(|h| *h);
+        let mut complete = hidden.is_empty();
         for &r in &coarse.representatives {
             if computed(r) {
                 index.push(self.slots.len() as u32);
@@ -66,14 +72,14 @@ impl Subset {
         if !complete {
             for element in 0..placed.surface.positions.len() as u32 {
                 let range = coarse.offsets[element as usize] as usize..coarse.offsets[element as usize + 1] as usize;
-                let known = range.into_iter().any(|e| !hidden[e] && index[coarse.entries[e].0 as usize] != NONE);
+                let known = range.into_iter().any(|e| !hidden.contains(back, e) && index[coarse.entries[e].0 as usize] != NONE);
                 if !known && computed(element) {
                     alone.push((element, self.slots.len() as u32));
                     self.slots.push(first_slot + element);
                 }
             }
         }
-        self.sides.push(Side { placed: Arc::clone(placed), first_slot, index, hidden, alone });
+        self.sides.push(Side { placed: Arc::clone(placed), first_slot, back, index, hidden, alone });
     }
 
     /// Values at the representatives carried to all slots; zero in holes.
@@ -86,34 +92,19 @@ impl Subset {
         out
     }
 
-    /// Area that each representative stands for, m²: what interpolation gives weight to.
-    pub(crate) fn areas(&self) -> Vec<f32> {
-        let mut areas = vec![0.0; self.slots.len()];
-        for side in &self.sides {
-            let surface = &side.placed.surface;
-            for (element, &area) in surface.areas.iter().enumerate() {
-                let known: f32 = side.entries_of(element as u32).map(|e| e.1).sum();
-                for (i, w) in side.entries_of(element as u32) {
-                    areas[i] += area * w / known;
-                }
-            }
-            side.alone.iter().for_each(|&(element, i)| areas[i as usize] += surface.areas[element as usize]);
-        }
-        areas
-    }
-
-    /// For every slot the representative that weighs most, as index into `slots`; `u32::MAX` where there is none.
-    pub(crate) fn nearest(&self) -> Vec<u32> {
-        let mut out = vec![NONE; self.len];
-        for side in &self.sides {
-            let n = side.placed.surface.positions.len() as u32;
-            for element in 0..n {
-                let best = side.entries_of(element).next().map(|(i, _)| i as u32);
-                out[(side.first_slot + element) as usize] = best.unwrap_or(NONE);
-            }
-            side.alone.iter().for_each(|(element, i)| out[(side.first_slot + element) as usize] = *i);
-        }
-        out
+    /// One of the representatives that a look-up is interpolated from, with its weight as probability; none where no
+    /// corner of the triangle has any.
+    #[inline]
+    pub(crate) fn sample(&self, world: &World, surfel: &Surfel, u: [f32; 3]) -> Option<u32> {
+        let elements = surfel.elements?;
+        let [a, b, _] = surfel.weights;
+        let k = usize::from(u[0] >= a) + usize::from(u[0] >= a + b);
+        let front = self.side_of_part[surfel.part as usize] as usize;
+        (0..3).find_map(|i| {
+            let slot = elements[(k + i) % 3];
+            let slot = if world.is_valid(slot as usize) { slot } else { world.validity.stand_in(slot, u[2]) };
+            self.sides[front].sample(slot, u[1]).or_else(|| self.sides.get(front + 1)?.sample(slot, u[1]))
+        })
     }
 }
 
@@ -125,8 +116,27 @@ impl Side {
         let entries = coarse.entries_of(element).iter().enumerate();
         entries.filter_map(move |(k, &(r, w))| {
             let i = self.index[r as usize];
-            (i != NONE && !self.hidden[first + k]).then_some((i as usize, w))
+            (i != NONE && !self.hidden.contains(self.back, first + k)).then_some((i as usize, w))
         })
+    }
+
+    /// One of an element's representatives by weight; none for slots of other sides.
+    #[inline]
+    fn sample(&self, slot: u32, u: f32) -> Option<u32> {
+        let element = slot.wrapping_sub(self.first_slot);
+        if element as usize >= self.placed.surface.positions.len() {
+            return None;
+        }
+        let total: f32 = self.entries_of(element).map(|e| e.1).sum();
+        let (mut left, mut last) = (u * total, None);
+        for (i, w) in self.entries_of(element) {
+            last = Some(i as u32);
+            left -= w;
+            if left < 0.0 {
+                break;
+            }
+        }
+        last.or_else(|| self.alone.binary_search_by_key(&element, |a| a.0).ok().map(|k| self.alone[k].1))
     }
 
     fn interpolate(&self, values: &[Vec3]) -> Vec<Vec3> {
@@ -143,23 +153,4 @@ impl Side {
         self.alone.iter().for_each(|&(element, i)| out[element as usize] = values[i as usize]);
         out
     }
-}
-
-/// Entries between an element and a representative that do not see each other, just above the surface. Light of one
-/// side of a wall must not be interpolated to the other.
-fn hidden_entries(world: &World, placed: &Placed, first_slot: u32) -> Vec<bool> {
-    let lift = 0.05 * world.spacing();
-    let above = |element: u32| {
-        let slot = (first_slot + element) as usize;
-        world.geometry.positions[slot] + world.geometry.normals[slot] * lift
-    };
-    let coarse = &placed.coarse;
-    let elements = (0..placed.surface.positions.len() as u32).into_par_iter();
-    let of_element = |element: u32| {
-        coarse.entries_of(element).iter().map(move |&(r, _)| {
-            let (from, to) = (above(element), above(coarse.representatives[r as usize]));
-            from != to && world.trees.any_hit(&Ray { origin: from, direction: to - from, t_min: 0.0, t_max: 1.0 })
-        })
-    };
-    elements.with_min_len(256).flat_map_iter(of_element).collect()
 }

@@ -2,8 +2,7 @@
 
 use glam::Vec3;
 
-use super::{Canceled, LightField, Surfel, Work, incoming_light};
-use crate::bvh::Ray;
+use super::{Canceled, LightField, Work, incoming_light};
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
 use crate::world::World;
@@ -29,29 +28,4 @@ pub(crate) fn gather(
         }
         sum / samples as f32
     })
-}
-
-/// Gathers any radiance that is a function of the point met; `visit` sees every reflecting hit.
-pub(crate) fn gather_with(
-    world: &World,
-    slot: u32,
-    samples: u32,
-    seed: u64,
-    rays: &mut u64,
-    mut visit: impl FnMut(&Surfel) -> Vec3,
-) -> Vec3 {
-    let (origin, n) = world.ray_origin(slot as usize);
-    let mut rng = Pcg32::new(seed, u64::from(slot));
-    let sequence = R2::new(&mut rng);
-    let mut sum = Vec3::ZERO;
-    for k in 0..samples {
-        let ray = Ray { origin, direction: cosine_hemisphere(n, sequence.get(k)), t_min: 0.0, t_max: f32::INFINITY };
-        *rays += 1;
-        if let Some(hit) = world.trees.closest_hit(&ray)
-            && let Some(surfel) = Surfel::new(world, &ray, &hit)
-        {
-            sum += visit(&surfel);
-        }
-    }
-    sum / samples as f32
 }

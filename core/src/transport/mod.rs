@@ -5,20 +5,19 @@
 
 pub(crate) mod direct;
 mod gather;
+mod surfel;
 mod walk;
 
 pub(crate) use direct::DirectLight;
-pub(crate) use gather::{gather, gather_with};
+pub(crate) use gather::gather;
+pub(crate) use surfel::Surfel;
 pub(crate) use walk::{LightField, incoming_light};
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::bvh::{Hit, Ray};
 use crate::job::{Canceled, Observer};
-use crate::world::World;
 
 /// Elements per task: long enough to amortise, short enough that a cancel is seen within milliseconds.
 const CHUNK: usize = 64;
@@ -69,57 +68,5 @@ impl<'a> Work<'a> {
             Ok(())
         })?;
         Ok(out)
-    }
-}
-
-/// A reflecting point that a ray met, seen from the side of the ray.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Surfel {
-    /// Scene space.
-    pub position: Vec3,
-    /// Unit geometric normal on the side that the ray came from.
-    pub normal: Vec3,
-    /// Diffuse albedo.
-    pub albedo: Vec3,
-    /// Index of its part.
-    pub part: u32,
-    /// Element slots of the corners on that side; none where the back has no elements.
-    pub elements: Option<[u32; 3]>,
-    /// Barycentric weights of the second and third corner.
-    pub barycentrics: (f32, f32),
-}
-
-impl Surfel {
-    /// Resolves a hit; none where the side that was met reflects nothing.
-    #[inline]
-    pub(crate) fn new(world: &World, ray: &Ray, hit: &Hit) -> Option<Surfel> {
-        let record = &world.geometry.triangles[hit.triangle as usize];
-        let part = &world.parts[record.part as usize];
-        let back = hit.normal.dot(ray.direction) > 0.0;
-        if back && !part.double_sided {
-            return None;
-        }
-        let elements = match (back, part.back_offset) {
-            (false, _) => Some(record.elements),
-            (true, 0) => None,
-            (true, offset) => Some(record.elements.map(|e| e + offset)),
-        };
-        Some(Surfel {
-            position: ray.origin + ray.direction * hit.t,
-            normal: if back { -hit.normal } else { hit.normal },
-            albedo: part.albedo,
-            part: record.part,
-            elements,
-            barycentrics: (hit.u, hit.v),
-        })
-    }
-
-    /// Barycentric look-up.
-    #[inline]
-    pub(crate) fn interpolate(&self, elements: [u32; 3], values: &[Vec3]) -> Vec3 {
-        let (u, v) = self.barycentrics;
-        values[elements[0] as usize] * (1.0 - u - v)
-            + values[elements[1] as usize] * u
-            + values[elements[2] as usize] * v
     }
 }

@@ -46,7 +46,7 @@ pub(crate) fn incoming_light(
             }
             break;
         };
-        let Some(surfel) = Surfel::new(world, &ray, &hit) else { break };
+        let Some(surfel) = Surfel::to_look_up(world, &ray, &hit, rays) else { break };
         beta *= surfel.albedo;
         if beta == Vec3::ZERO {
             break;

@@ -23,7 +23,7 @@ use crate::job::{Budget, Canceled, Observer, Pass};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
 use crate::rounds::{self, Round};
-use crate::solve::{Subset, propagate};
+use crate::solve::{Exchange, Rows, Subset};
 use crate::transport::{Surfel, Work};
 use crate::world::{Transition, World};
 
@@ -73,6 +73,7 @@ struct Updater<'a> {
     /// Computed elements that keep an old value.
     static_rows: Vec<u32>,
     subset: Subset,
+    rows: Rows,
     source: source::Source<'a>,
     direct: direct::DirectChange<'a>,
     /// Change of albedo per part of the new world.
@@ -97,6 +98,7 @@ impl<'a> Updater<'a> {
         let repaint = (world.parts.iter().enumerate())
             .map(|(i, p)| before.get(i).map_or(Vec3::ZERO, |b| p.albedo - b.albedo))
             .collect();
+        let subset = Subset::new(world);
         Updater {
             transition,
             world,
@@ -105,7 +107,8 @@ impl<'a> Updater<'a> {
             before_total: total(map),
             old,
             static_rows,
-            subset: Subset::new(world),
+            rows: Rows::all(&subset),
+            subset,
             source: source::Source::new(transition),
             direct: direct::DirectChange::new(transition),
             repaint,
@@ -183,7 +186,12 @@ impl<'a> Updater<'a> {
             change + self.repaint[s.part as usize] * s.interpolate(elements, &self.old_total)
         };
         let samples = (round.samples * 2).clamp(PROPAGATION_SAMPLES, 64);
-        propagate(world, &self.subset, &first, samples, subseed(round.seed, 0x9409), self.work).map(|b| b.field)
+        let seed = subseed(round.seed, 0x9409);
+        let exchange = Exchange::trace(world, &self.subset, &self.rows, &first, samples, seed, self.work)?;
+        let bounces = exchange.to_representatives(&self.subset, &exchange.all_bounces(&exchange.first));
+        let mut field = self.subset.interpolate(&bounces);
+        world.validity.fill(&mut field);
+        Ok(field)
     }
 
     fn new_flags(&self) -> Vec<bool> {

@@ -7,18 +7,15 @@ use crate::bake::NEAR;
 use crate::job::Canceled;
 use crate::random::subseed;
 use crate::rounds::Round;
+use crate::solve::{Exchange, Rows};
 use crate::transport::direct::direct_of;
-use crate::transport::{LightField, gather, gather_with};
+use crate::transport::{LightField, Surfel, gather};
 
 /// Samples of new rows per sample of the others: they have no old map to lean on (design, section 3.8 c).
 const NEW_ROW_SAMPLES: u32 = 4;
 
-/// Samples of a pass among the new rows themselves.
-const SELF_SAMPLES: u32 = 16;
-
-/// Passes among the new rows end at this part of the largest change, or after `MAX_PASSES`.
-const RESIDUAL: f32 = 2e-3;
-const MAX_PASSES: u32 = 24;
+/// Samples of the solve among the new rows themselves.
+const SELF_SAMPLES: u32 = 32;
 
 impl Updater<'_> {
     /// Direct and indirect light of new rows, written over their slots. `direct` holds ΔD of the static rows.
@@ -49,41 +46,21 @@ impl Updater<'_> {
         Ok(())
     }
 
-    /// Light among the new rows, on their subset, until it stands still. All passes use the same rays: a fixed
-    /// contraction, whose residual is exact.
+    /// All bounces among the new rows, on their subset: what they gather of the light around them, and of one another.
     fn self_passes(&self, seed: u64, own_direct: &[Vec3], field: &mut [Vec3]) -> Result<(), Canceled> {
-        let (world, rows) = (self.world, &self.transition.new_rows);
+        let (world, slots) = (self.world, &self.transition.new_rows);
         let is_new = self.new_flags();
-        let evaluated: Vec<usize> =
-            (0..self.subset.slots.len()).filter(|&i| is_new[self.subset.slots[i] as usize]).collect();
-        let slots: Vec<u32> = evaluated.iter().map(|&i| self.subset.slots[i]).collect();
+        let rows = Rows::only(&self.subset, |slot| is_new[slot as usize]);
+        let light = &*field;
+        let source = |_: u32, s: &Surfel| s.elements.map_or(Vec3::ZERO, |e| s.albedo * s.interpolate(e, light));
         let seed = subseed(seed, 0x5e1f);
-        let mut values = vec![Vec3::ZERO; self.subset.slots.len()];
-        let mut largest = 0.0f32;
-        for _ in 0..MAX_PASSES {
-            let gathered = {
-                let field = &*field;
-                self.work.map(&slots, |_, slot, rays| {
-                    gather_with(world, slot, SELF_SAMPLES, seed, rays, |s| {
-                        s.elements.map_or(Vec3::ZERO, |e| s.albedo * s.interpolate(e, field))
-                    })
-                })?
-            };
-            let mut change = 0.0f32;
-            for (&i, g) in evaluated.iter().zip(&gathered) {
-                change = change.max((*g - values[i]).abs().max_element());
-                values[i] = *g;
-            }
-            let spread = self.subset.interpolate(&values);
-            for (&slot, d) in rows.iter().zip(own_direct) {
-                field[slot as usize] = *d + spread[slot as usize];
-            }
-            world.validity.fill(field);
-            largest = largest.max(change);
-            if change <= RESIDUAL * largest {
-                break;
-            }
+        let exchange = Exchange::trace(world, &self.subset, &rows, &source, SELF_SAMPLES, seed, self.work)?;
+        let values = exchange.to_representatives(&self.subset, &exchange.all_bounces(&exchange.first));
+        let spread = self.subset.interpolate(&values);
+        for (&slot, d) in slots.iter().zip(own_direct) {
+            field[slot as usize] = *d + spread[slot as usize];
         }
+        world.validity.fill(field);
         Ok(())
     }
 }

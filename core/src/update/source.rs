@@ -93,9 +93,9 @@ impl<'a> Source<'a> {
             return None;
         }
         // The static surface as it was, in both worlds: repainted surfaces are a source of their own.
-        let unchanged = |hit: &Option<Hit>| look(&t.before, ray, hit.as_ref(), maps.before);
-        let after = if came_t < behind_t { look(&t.after, ray, came.as_ref(), maps.after) } else { unchanged(&behind) };
-        let before = if went_t < behind_t { unchanged(&went) } else { unchanged(&behind) };
+        let unchanged = |hit: &Option<Hit>, rays: &mut u64| look(&t.before, ray, hit.as_ref(), maps.before, rays);
+        let after = if came_t < behind_t { look(&t.after, ray, came.as_ref(), maps.after, rays) } else { unchanged(&behind, rays) };
+        let before = if went_t < behind_t { unchanged(&went, rays) } else { unchanged(&behind, rays) };
         let sky = |world: &World, hidden: bool| if hidden { Vec3::ZERO } else { world.emitters.environment };
         let free = behind.is_none();
         let sky = sky(&t.after, !free || came.is_some()) - sky(&t.after, !free || went.is_some());
@@ -111,7 +111,7 @@ fn closest(tree: Option<&Bvh>, ray: &Ray, rays: &mut u64) -> Option<Hit> {
 }
 
 /// Reflected radiance of a hit in one of the worlds.
-fn look(world: &World, ray: &Ray, hit: Option<&Hit>, map: &[Vec3]) -> Vec3 {
-    let Some(surfel) = hit.and_then(|h| Surfel::new(world, ray, h)) else { return Vec3::ZERO };
+fn look(world: &World, ray: &Ray, hit: Option<&Hit>, map: &[Vec3], rays: &mut u64) -> Vec3 {
+    let Some(surfel) = hit.and_then(|h| Surfel::to_look_up(world, ray, h, rays)) else { return Vec3::ZERO };
     surfel.elements.map_or(Vec3::ZERO, |e| surfel.albedo * surfel.interpolate(e, map))
 }

@@ -266,6 +266,7 @@ impl Draft {
                 .map(|(l, h)| (*l - Vec3::splat(world.spacing), *h + Vec3::splat(world.spacing)))
                 .collect();
             world.validity = Arc::new(Validity::updated(&before.validity, &world, &ranges, &grown));
+            world.look_around(Some(&grown), |placed| come.contains(&placed.key));
         }
         let come_trees = world.placed.iter().filter(|p| come.contains(&p.key));
         let come_tree = merged_tree(come_trees.map(|p| &**p));

@@ -1,5 +1,6 @@
 //! From a scene to a world: subdivision, slots, trees, emitters, validity.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use glam::{DMat4, Vec3};
@@ -42,6 +43,7 @@ pub(super) fn build(scene: Scene, options: &WorldOptions) -> Result<World, World
         trees,
         emitters: Arc::default(),
         validity: Arc::default(),
+        sight: BTreeMap::new(),
         epsilon,
         next_key,
     };
@@ -49,6 +51,7 @@ pub(super) fn build(scene: Scene, options: &WorldOptions) -> Result<World, World
     give_backs(&mut world)?;
     world.mark_solids();
     world.validity = Arc::new(Validity::of_all(&world));
+    world.look_around(None, |_| true);
     Ok(world)
 }
 
@@ -176,15 +179,22 @@ impl World {
             let index = self.scene.objects.iter().position(|o| o.name == name)?;
             let (object, placed) = (&self.scene.objects[index], &self.placed[index]);
             let double_sided = object.materials.get(material as usize)?.double_sided;
-            let surface = &placed.surface;
-            let emissive = surface.triangles.iter().zip(&surface.triangle_materials);
-            let triangles = emissive
-                .filter(|(_, m)| **m == material)
-                .filter_map(|(t, _)| EmissiveTriangle::new(t.map(|i| surface.vertices[i as usize])))
-                .collect();
-            Some((placed.key, triangles, double_sided))
+            let place = scene_from_object(&self.scene, object);
+            Some((placed.key, emissive_triangles(object, place, material), double_sided))
         })
     }
+}
+
+/// The triangles of one material as the file has them: few and large ones are sampled better than their subdivision.
+fn emissive_triangles(object: &Object, place: DMat4, material: u32) -> Vec<EmissiveTriangle> {
+    let mirrored = place.determinant() < 0.0;
+    let mesh = &object.mesh;
+    let corner = |i: u32| place.transform_point3(mesh.positions[i as usize].as_dvec3()).as_vec3();
+    let of_material = mesh.triangles.iter().zip(&mesh.triangle_materials).filter(|(_, m)| **m == material);
+    let triangles = of_material.filter_map(|(&[a, b, c], _)| {
+        EmissiveTriangle::new((if mirrored { [a, c, b] } else { [a, b, c] }).map(corner))
+    });
+    triangles.collect()
 }
 
 impl EmissiveTriangle {

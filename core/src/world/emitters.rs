@@ -7,6 +7,9 @@ use glam::Vec3;
 use crate::sampling::{Discrete, SphericalTriangle, uniform_barycentrics};
 use crate::scene::{Light, LightKind};
 
+/// Emitters of at most so many triangles are sampled by the solid angle of all of them from near.
+const FEW: usize = 4;
+
 /// An emissive triangle in scene space.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct EmissiveTriangle {
@@ -23,7 +26,7 @@ pub(crate) struct EmissiveTriangle {
 pub(crate) enum Shape {
     /// Emissive triangles.
     Surface {
-        /// In spatial order, so that inversion keeps stratification.
+        /// In the file's order: neighbours mostly follow each other, so that inversion keeps stratification.
         triangles: Vec<EmissiveTriangle>,
         /// By area.
         choice: Discrete,
@@ -197,7 +200,8 @@ impl Emitter {
     }
 }
 
-/// Triangles by area; the point on it by area from afar and by solid angle from near, where 1/r² would explode.
+/// Few triangles that are near together by solid angle; else triangles by area, and the point on one by area from afar
+/// and by solid angle from near, where 1/r² would explode.
 #[inline]
 fn sample_surface(
     triangles: &[EmissiveTriangle],
@@ -207,27 +211,20 @@ fn sample_surface(
     n: Vec3,
     [u, v]: [f32; 2],
 ) -> Option<LightSample> {
+    if triangles.len() <= FEW && triangles.iter().any(|t| t.is_near(point)) {
+        return sample_few(triangles, double_sided, point, n, [u, v]);
+    }
     let (index, u) = if triangles.len() == 1 { (0, u) } else { choice.sample(u) };
     let triangle = &triangles[index];
     let probability = choice.pdf(index);
-    let [a, b, c] = triangle.corners;
-    let height = (point - a).dot(triangle.normal);
-    if height <= 0.0 && !double_sided || height == 0.0 {
+    if !triangle.shines_at(point, double_sided) {
         return None;
     }
-    let to_center = (a + b + c) * (1.0 / 3.0) - point;
-    if to_center.length_squared() < 8.0 * triangle.area {
+    if triangle.is_near(point) {
         let spherical = SphericalTriangle::new(point, triangle.corners)?;
-        let direction = spherical.sample([u, v]);
-        let cos = n.dot(direction);
-        let slope = -direction.dot(triangle.normal);
-        if cos <= 0.0 || slope.abs() < 1e-7 {
-            return None;
-        }
-        let distance = height / slope;
-        let weight = cos * FRAC_1_PI / (probability * spherical.pdf());
-        return (distance > 0.0).then_some(LightSample { direction, distance, weight });
+        return triangle.towards(point, n, spherical.sample([u, v]), probability * spherical.pdf());
     }
+    let [a, b, c] = triangle.corners;
     let (b1, b2) = uniform_barycentrics([u, v]);
     let w = a + (b - a) * b1 + (c - a) * b2 - point;
     let distance2 = w.length_squared();
@@ -240,6 +237,70 @@ fn sample_surface(
         distance,
         weight: cos * cos_light * triangle.area / (distance2 * probability) * FRAC_1_PI,
     })
+}
+
+/// Uniform over the solid angle of all triangles together.
+fn sample_few(
+    triangles: &[EmissiveTriangle],
+    double_sided: bool,
+    point: Vec3,
+    n: Vec3,
+    [u, v]: [f32; 2],
+) -> Option<LightSample> {
+    let mut seen = [None; FEW];
+    let mut total = 0.0;
+    for (slot, triangle) in seen.iter_mut().zip(triangles) {
+        if triangle.shines_at(point, double_sided) {
+            *slot = SphericalTriangle::new(point, triangle.corners);
+            total += slot.map_or(0.0, |s| s.solid_angle);
+        }
+    }
+    let mut left = f64::from(u) * total;
+    let mut last = None;
+    for (spherical, triangle) in seen.iter().zip(triangles) {
+        let Some(spherical) = spherical else { continue };
+        last = Some((spherical, triangle, left));
+        if left < spherical.solid_angle {
+            break;
+        }
+        left -= spherical.solid_angle;
+    }
+    let (spherical, triangle, left) = last?;
+    let u = ((left / spherical.solid_angle) as f32).clamp(0.0, 0.999_999_94);
+    triangle.towards(point, n, spherical.sample([u, v]), (1.0 / total) as f32)
+}
+
+impl EmissiveTriangle {
+    /// Whether it is so near that points on it differ much in distance.
+    #[inline]
+    fn is_near(&self, point: Vec3) -> bool {
+        let [a, b, c] = self.corners;
+        ((a + b + c) * (1.0 / 3.0) - point).length_squared() < 8.0 * self.area
+    }
+
+    /// Height of a point over the triangle's plane, m.
+    #[inline]
+    fn height(&self, point: Vec3) -> f32 {
+        (point - self.corners[0]).dot(self.normal)
+    }
+
+    #[inline]
+    fn shines_at(&self, point: Vec3, double_sided: bool) -> bool {
+        let height = self.height(point);
+        height > 0.0 || double_sided && height < 0.0
+    }
+
+    /// The sample in a direction that was drawn with density `pdf` per steradian.
+    #[inline]
+    fn towards(&self, point: Vec3, n: Vec3, direction: Vec3, pdf: f32) -> Option<LightSample> {
+        let cos = n.dot(direction);
+        let slope = -direction.dot(self.normal);
+        if cos <= 0.0 || slope.abs() < 1e-7 {
+            return None;
+        }
+        let distance = self.height(point) / slope;
+        (distance > 0.0).then_some(LightSample { direction, distance, weight: cos * FRAC_1_PI / pdf })
+    }
 }
 
 impl Emitter {

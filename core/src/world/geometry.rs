@@ -36,8 +36,33 @@ pub(crate) struct Geometry {
 pub(crate) struct TriangleRecord {
     /// Element slots of the corners, front side.
     pub elements: [u32; 3],
-    /// Index into [`super::World::parts`], or [`NO_PART`].
-    pub part: u32,
+    /// Index into [`super::World::parts`] with `CUT` as a flag, or [`NO_PART`].
+    part: u32,
+}
+
+/// Flag of triangles whose corners do not all see each other: a wall stands on them.
+const CUT: u32 = 1 << 31;
+
+impl TriangleRecord {
+    const EMPTY: TriangleRecord = TriangleRecord { elements: [0; 3], part: NO_PART };
+
+    /// Index into [`super::World::parts`].
+    #[inline]
+    pub(crate) fn part(&self) -> u32 {
+        self.part & !CUT
+    }
+
+    /// Whether a wall stands on the triangle: light must not be interpolated across it.
+    #[inline]
+    pub(crate) fn is_cut(&self) -> bool {
+        self.part & CUT != 0
+    }
+
+    pub(crate) fn set_cut(&mut self, cut: bool) {
+        if self.part != NO_PART {
+            self.part = self.part() | if cut { CUT } else { 0 };
+        }
+    }
 }
 
 /// The triangles of one object that share a material.
@@ -104,7 +129,7 @@ impl Geometry {
         self.write_elements(surface, first, with_back);
         let triangles_end = first_triangle + surface.triangles.len();
         if triangles_end > self.triangles.len() {
-            self.triangles.resize(triangles_end, TriangleRecord { elements: [0; 3], part: NO_PART });
+            self.triangles.resize(triangles_end, TriangleRecord::EMPTY);
         }
         for (slot, (corners, material)) in self.triangles[first_triangle..triangles_end]
             .iter_mut()
@@ -138,7 +163,7 @@ impl Geometry {
         self.areas[range.clone()].fill(0.0);
         self.owners[range].fill(NO_OBJECT);
         let triangles = placement.triangles.start as usize..placement.triangles.end as usize;
-        self.triangles[triangles].fill(TriangleRecord { elements: [0; 3], part: NO_PART });
+        self.triangles[triangles].fill(TriangleRecord::EMPTY);
     }
 
     /// Bytes held.

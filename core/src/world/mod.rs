@@ -9,6 +9,7 @@ mod emitters;
 mod geometry;
 mod info;
 mod probe;
+mod sight;
 mod transition;
 mod trees;
 mod validity;
@@ -21,8 +22,10 @@ pub use trees::Trees;
 pub(crate) use coarse::Coarse;
 pub(crate) use emitters::{Emitter, Emitters};
 pub(crate) use geometry::{Geometry, Part, Placement};
+pub(crate) use sight::Hidden;
 pub(crate) use validity::Validity;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -104,6 +107,8 @@ pub struct World {
     pub(crate) trees: Trees,
     pub(crate) emitters: Arc<Emitters>,
     pub(crate) validity: Arc<Validity>,
+    /// By key of the object.
+    pub(crate) sight: BTreeMap<u32, Arc<Hidden>>,
     /// How far rays start off a surface, metres.
     pub(crate) epsilon: f32,
     pub(crate) next_key: u32,

@@ -55,7 +55,7 @@ fn back_hit(world: &World, slot: usize, sample: u64) -> Option<u32> {
     let mut rng = Pcg32::new(subseed(0xbac5, sample), slot as u64);
     let direction = cosine_hemisphere(n, rng.next_2d());
     let hit = world.trees.closest_hit(&Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY })?;
-    let part = &world.parts[world.geometry.triangles[hit.triangle as usize].part as usize];
+    let part = &world.parts[world.geometry.triangles[hit.triangle as usize].part() as usize];
     (part.double_sided && hit.normal.dot(direction) > 0.0).then_some(part.object)
 }
 
@@ -138,7 +138,7 @@ pub(super) fn back_seen(world: &World, index: usize) -> bool {
         }
         let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
         let Some(hit) = world.trees.closest_hit(&ray) else { continue };
-        let part = &world.parts[world.geometry.triangles[hit.triangle as usize].part as usize];
+        let part = &world.parts[world.geometry.triangles[hit.triangle as usize].part() as usize];
         if part.object == placed.key {
             seen += 1;
             backs += u32::from(hit.normal.dot(direction) > 0.0);

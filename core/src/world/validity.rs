@@ -22,6 +22,8 @@ pub(crate) struct Validity {
     invalid: Vec<u32>,
     /// Slots to fill, nearest to valid ones first; each is the mean of sources filled before it.
     fills: Vec<Fill>,
+    /// Indices of `fills` by target.
+    by_target: Vec<u32>,
 }
 
 #[derive(Clone, Debug)]
@@ -60,20 +62,35 @@ impl Validity {
     fn from_invalid(world: &World, mut invalid: Vec<u32>) -> Validity {
         invalid.sort_unstable();
         let set: BTreeSet<u32> = invalid.iter().copied().collect();
-        let mut fills = Vec::new();
+        let mut fills: Vec<Fill> = Vec::new();
         for placed in &world.placed {
             let range = placed.placement.elements.clone();
             if set.range(range).next().is_some() {
                 fill_object(placed, &set, &mut fills);
             }
         }
-        Validity { invalid, fills }
+        let mut by_target: Vec<u32> = (0..fills.len() as u32).collect();
+        by_target.sort_unstable_by_key(|&f| fills[f as usize].target);
+        Validity { invalid, fills, by_target }
     }
 
     /// Whether a slot's value is computed.
     #[inline]
     pub(crate) fn is_valid(&self, slot: usize) -> bool {
         self.invalid.is_empty() || self.invalid.binary_search(&(slot as u32)).is_err()
+    }
+
+    /// One of the slots that an invalid slot takes its value from, by a uniform number; the slot itself where it is valid.
+    pub(crate) fn stand_in(&self, slot: u32, mut u: f32) -> u32 {
+        let mut slot = slot;
+        while let Ok(i) = self.by_target.binary_search_by_key(&slot, |&f| self.fills[f as usize].target) {
+            let sources = &self.fills[self.by_target[i] as usize].sources;
+            u *= sources.len() as f32;
+            let k = (u as usize).min(sources.len() - 1);
+            u -= k as f32;
+            slot = sources[k];
+        }
+        slot
     }
 
     /// Gives invalid slots the values of their neighbours.
@@ -108,7 +125,7 @@ fn is_inside(world: &World, slot: u32) -> bool {
         let direction = cosine_hemisphere(n, rng.next_2d());
         let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
         if let Some(hit) = world.trees.closest_hit(&ray) {
-            let part = &world.parts[world.geometry.triangles[hit.triangle as usize].part as usize];
+            let part = &world.parts[world.geometry.triangles[hit.triangle as usize].part() as usize];
             let back = hit.normal.dot(direction) > 0.0;
             backs += u32::from(back && (part.solid || !part.double_sided));
         }

@@ -1,0 +1,165 @@
+//! Transport between representatives, sampled: every ray of a representative that meets a surface is one entry of a
+//! sparse matrix T̂, whose expectation is the transport operator.
+//!
+//! With `u = G[source]` from the same rays, `X = u + T̂ X` holds all bounces of the source, and no ray is traced for any
+//! but the first. A bounce's look-up is interpolated from a few elements, each from a few representatives; an entry
+//! takes one of them, with their weight as probability.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::{Subset, gmres};
+use crate::bvh::Ray;
+use crate::job::Canceled;
+use crate::random::{Pcg32, R2, subseed};
+use crate::sampling::cosine_hemisphere;
+use crate::transport::{Surfel, Work};
+use crate::world::World;
+
+/// Residual of the solve, relative to its source.
+const TOLERANCE: f64 = 1e-4;
+
+/// Representatives per task.
+const CHUNK: usize = 32;
+
+const NONE: u32 = u32::MAX;
+
+/// What one ray of a representative met.
+#[derive(Clone, Copy, Debug)]
+struct Entry {
+    /// Row of the matrix, `NONE` where the ray left or met what is not among the rows.
+    row: u32,
+    /// Part, for the albedo.
+    part: u32,
+}
+
+/// The representatives that a matrix is over.
+pub(crate) struct Rows {
+    /// Indices into `Subset::slots`.
+    pub members: Vec<u32>,
+    /// Row of every index of `Subset::slots`, or `NONE`; empty where all are rows.
+    row_of: Vec<u32>,
+}
+
+impl Rows {
+    /// All representatives.
+    pub(crate) fn all(subset: &Subset) -> Rows {
+        Rows { members: (0..subset.slots.len() as u32).collect(), row_of: Vec::new() }
+    }
+
+    /// Those whose element slot is wanted.
+    pub(crate) fn only(subset: &Subset, wanted: impl Fn(u32) -> bool) -> Rows {
+        let mut rows = Rows { members: Vec::new(), row_of: vec![NONE; subset.slots.len()] };
+        for (i, &slot) in subset.slots.iter().enumerate() {
+            if wanted(slot) {
+                rows.row_of[i] = rows.members.len() as u32;
+                rows.members.push(i as u32);
+            }
+        }
+        rows
+    }
+
+    fn row(&self, representative: u32) -> u32 {
+        if self.row_of.is_empty() { representative } else { self.row_of[representative as usize] }
+    }
+}
+
+/// A sampled transport matrix and the first gather of a source along its rays.
+pub(crate) struct Exchange<'a> {
+    world: &'a World,
+    rows: &'a Rows,
+    samples: usize,
+    /// `samples` entries a row.
+    entries: Vec<Entry>,
+    /// First gather, per row.
+    pub first: Vec<Vec3>,
+}
+
+impl<'a> Exchange<'a> {
+    /// Traces `samples` rays from every row. `source(slot, surfel)` is the radiance that the source sends from a point
+    /// to the element `slot`; it may differ by receiver.
+    pub(crate) fn trace(
+        world: &'a World,
+        subset: &Subset,
+        rows: &'a Rows,
+        source: &(impl Fn(u32, &Surfel) -> Vec3 + Sync),
+        samples: u32,
+        seed: u64,
+        work: &Work,
+    ) -> Result<Exchange<'a>, Canceled> {
+        let samples = samples.max(1) as usize;
+        let mut entries = vec![Entry { row: NONE, part: 0 }; rows.members.len() * samples];
+        let mut first = vec![Vec3::ZERO; rows.members.len()];
+        let seed = subseed(seed, 0xec);
+        let tasks = first.par_chunks_mut(CHUNK).zip(entries.par_chunks_mut(CHUNK * samples));
+        tasks.zip(rows.members.par_chunks(CHUNK)).try_for_each(|((first, entries), members)| {
+            work.check()?;
+            let mut rays = 0;
+            for ((first, entries), &member) in first.iter_mut().zip(entries.chunks_mut(samples)).zip(members) {
+                let slot = subset.slots[member as usize];
+                *first = trace_row(world, subset, rows, slot, source, entries, seed, &mut rays);
+            }
+            work.count(rays);
+            Ok(())
+        })?;
+        Ok(Exchange { world, rows, samples, entries, first })
+    }
+
+    /// T̂ x.
+    fn apply(&self, x: &[Vec3]) -> Vec<Vec3> {
+        let parts = &self.world.parts;
+        let of_row = |entries: &[Entry]| -> Vec3 {
+            let met = entries.iter().filter(|e| e.row != NONE);
+            met.map(|e| parts[e.part as usize].albedo * x[e.row as usize]).sum::<Vec3>() / self.samples as f32
+        };
+        self.entries.par_chunks(self.samples).with_min_len(256).map(of_row).collect()
+    }
+
+    /// `X = u + T̂ X`, per row: all bounces of a source whose first gather is `u`.
+    pub(crate) fn all_bounces(&self, first: &[Vec3]) -> Vec<Vec3> {
+        gmres::solve(|x| self.apply(x), first, TOLERANCE)
+    }
+
+    /// What is missing where a better gather of the same light differs from the solution by `residual` per row:
+    /// `Σ_{j ≥ 1} T̂ʲ r`.
+    pub(crate) fn settle(&self, residual: &[Vec3]) -> Vec<Vec3> {
+        self.all_bounces(&self.apply(residual))
+    }
+
+    /// Values of rows at all representatives; zero at those that are no rows.
+    pub(crate) fn to_representatives(&self, subset: &Subset, values: &[Vec3]) -> Vec<Vec3> {
+        let mut out = vec![Vec3::ZERO; subset.slots.len()];
+        self.rows.members.iter().zip(values).for_each(|(&m, v)| out[m as usize] = *v);
+        out
+    }
+}
+
+#[expect(clippy::too_many_arguments, reason = "a private step of one loop")]
+fn trace_row(
+    world: &World,
+    subset: &Subset,
+    rows: &Rows,
+    slot: u32,
+    source: &impl Fn(u32, &Surfel) -> Vec3,
+    entries: &mut [Entry],
+    seed: u64,
+    rays: &mut u64,
+) -> Vec3 {
+    let (origin, n) = world.ray_origin(slot as usize);
+    let mut rng = Pcg32::new(seed, u64::from(slot));
+    let sequence = R2::new(&mut rng);
+    let mut sum = Vec3::ZERO;
+    for (k, entry) in entries.iter_mut().enumerate() {
+        let direction = cosine_hemisphere(n, sequence.get(k as u32));
+        let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
+        *rays += 1;
+        let Some(hit) = world.trees.closest_hit(&ray) else { continue };
+        let Some(surfel) = Surfel::to_look_up(world, &ray, &hit, rays) else { continue };
+        sum += source(slot, &surfel);
+        let u = [rng.next_f32(), rng.next_f32(), rng.next_f32()];
+        if let Some(representative) = subset.sample(world, &surfel, u) {
+            *entry = Entry { row: rows.row(representative), part: surfel.part };
+        }
+    }
+    sum / entries.len() as f32
+}

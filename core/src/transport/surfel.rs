@@ -1,0 +1,89 @@
+//! What a ray met: a reflecting point and the elements that its light is looked up at.
+
+use glam::Vec3;
+
+use crate::bvh::{Hit, Ray};
+use crate::world::World;
+
+/// A reflecting point that a ray met, seen from the side of the ray.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Surfel {
+    /// Scene space.
+    pub position: Vec3,
+    /// Unit geometric normal on the side that the ray came from.
+    pub normal: Vec3,
+    /// Diffuse albedo.
+    pub albedo: Vec3,
+    /// Index of its part.
+    pub part: u32,
+    /// Element slots of the corners on that side; none where there are none that know the light of this point.
+    pub elements: Option<[u32; 3]>,
+    /// Weights of the corners, sum 1.
+    pub weights: [f32; 3],
+}
+
+impl Surfel {
+    /// Resolves a hit; none where the side that was met reflects nothing.
+    #[inline]
+    pub(crate) fn new(world: &World, ray: &Ray, hit: &Hit) -> Option<Surfel> {
+        let record = &world.geometry.triangles[hit.triangle as usize];
+        let part = &world.parts[record.part() as usize];
+        let back = hit.normal.dot(ray.direction) > 0.0;
+        if back && !part.double_sided {
+            return None;
+        }
+        let elements = match (back, part.back_offset) {
+            (false, _) => Some(record.elements),
+            (true, 0) => None,
+            (true, offset) => Some(record.elements.map(|e| e + offset)),
+        };
+        Some(Surfel {
+            position: ray.origin + ray.direction * hit.t,
+            normal: if back { -hit.normal } else { hit.normal },
+            albedo: part.albedo,
+            part: record.part(),
+            elements,
+            weights: [1.0 - hit.u - hit.v, hit.u, hit.v],
+        })
+    }
+
+    /// As [`Surfel::new`], for look-ups: where a wall cuts the triangle, only corners on this side of it count.
+    #[inline]
+    pub(crate) fn to_look_up(world: &World, ray: &Ray, hit: &Hit, rays: &mut u64) -> Option<Surfel> {
+        let mut surfel = Surfel::new(world, ray, hit)?;
+        if world.geometry.triangles[hit.triangle as usize].is_cut() {
+            surfel.leave_out_hidden(world, rays);
+        }
+        Some(surfel)
+    }
+
+    #[cold]
+    fn leave_out_hidden(&mut self, world: &World, rays: &mut u64) {
+        let Some(elements) = self.elements else { return };
+        let lift = world.lift();
+        let from = self.position + self.normal * lift;
+        let mut sum = 0.0;
+        for (weight, element) in self.weights.iter_mut().zip(elements) {
+            let to = world.geometry.positions[element as usize] + self.normal * lift;
+            *rays += 1;
+            let ray = Ray { origin: from, direction: to - from, t_min: 0.0, t_max: 0.98 };
+            if from != to && world.trees.any_hit(&ray) {
+                *weight = 0.0;
+            }
+            sum += *weight;
+        }
+        if sum > 1e-3 {
+            self.weights.iter_mut().for_each(|w| *w /= sum);
+        } else {
+            self.elements = None;
+        }
+    }
+
+    /// Barycentric look-up.
+    #[inline]
+    pub(crate) fn interpolate(&self, elements: [u32; 3], values: &[Vec3]) -> Vec3 {
+        values[elements[0] as usize] * self.weights[0]
+            + values[elements[1] as usize] * self.weights[1]
+            + values[elements[2] as usize] * self.weights[2]
+    }
+}

@@ -1,0 +1,167 @@
+//! Which elements of one surface see each other. Light of one side of a wall must not be interpolated to the other.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::{Placed, World};
+use crate::bvh::Ray;
+
+/// Height above the surface at which sight is asked for, in spacings.
+const LIFT: f32 = 0.05;
+
+/// Part of the way between two points that is left out at both ends: walls may begin there.
+const ENDS: f32 = 0.02;
+
+/// Entries of an object's coarse weights whose representative the element does not see.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Hidden {
+    /// A bit per entry, front then back; empty where all is seen.
+    bits: Vec<u64>,
+    entries: usize,
+}
+
+impl Hidden {
+    fn new(entries: usize, hidden: &[usize]) -> Hidden {
+        let mut bits = if hidden.is_empty() { Vec::new() } else { vec![0; (2 * entries).div_ceil(64)] };
+        hidden.iter().for_each(|&i| bits[i / 64] |= 1 << (i % 64));
+        Hidden { bits, entries }
+    }
+
+    /// Whether nothing is hidden.
+    #[inline]
+    pub(crate) fn is_empty(&self) -> bool {
+        self.bits.is_empty()
+    }
+
+    /// Whether an entry of the front or the back is hidden.
+    #[inline]
+    pub(crate) fn contains(&self, back: bool, entry: usize) -> bool {
+        !self.bits.is_empty() && {
+            let i = entry + if back { self.entries } else { 0 };
+            self.bits[i / 64] >> (i % 64) & 1 == 1
+        }
+    }
+}
+
+/// Boxes in which geometry has changed; `None` is everywhere.
+pub(super) type Touched<'a> = Option<&'a [(Vec3, Vec3)]>;
+
+impl World {
+    /// How far above a surface sight is asked for, metres.
+    #[inline]
+    pub(crate) fn lift(&self) -> f32 {
+        (LIFT * self.spacing).max(4.0 * self.epsilon)
+    }
+
+    /// Asks anew where geometry has changed, and everywhere for objects in `ranges` of element slots.
+    pub(super) fn look_around(&mut self, touched: Touched, is_new: impl Fn(&Placed) -> bool + Sync) {
+        let world = &*self;
+        let found: Vec<(Option<Hidden>, Vec<(u32, bool)>)> = world
+            .placed
+            .par_iter()
+            .map(|placed| {
+                let old = world.sight.get(&placed.key);
+                let touched = if is_new(placed) { None } else { touched };
+                if touched.is_some_and(|boxes| !boxes.iter().any(|b| overlap(b, &grown(placed, world.spacing)))) {
+                    return (None, Vec::new());
+                }
+                (Some(hidden_entries(world, placed, touched, old.map(|o| &**o))), cut_triangles(world, placed, touched))
+            })
+            .collect();
+        let (mut sight, mut cuts) = (BTreeMap::new(), Vec::new());
+        for (placed, (hidden, cut)) in self.placed.iter().zip(found) {
+            let old = || self.sight.get(&placed.key).cloned();
+            sight.insert(placed.key, hidden.map(Arc::new).or_else(old).unwrap_or_default());
+            cuts.extend(cut);
+        }
+        self.sight = sight;
+        cuts.retain(|&(t, cut)| self.geometry.triangles[t as usize].is_cut() != cut);
+        if !cuts.is_empty() {
+            let geometry = Arc::make_mut(&mut self.geometry);
+            cuts.iter().for_each(|&(t, cut)| geometry.triangles[t as usize].set_cut(cut));
+        }
+    }
+
+    fn blocked(&self, from: Vec3, to: Vec3) -> bool {
+        let ray = Ray { origin: from, direction: to - from, t_min: ENDS, t_max: 1.0 - ENDS };
+        from != to && self.trees.any_hit(&ray)
+    }
+}
+
+fn grown(placed: &Placed, by: f32) -> (Vec3, Vec3) {
+    let (low, high) = placed.surface.bounds();
+    (low - by, high + by)
+}
+
+fn overlap(a: &(Vec3, Vec3), b: &(Vec3, Vec3)) -> bool {
+    a.0.cmple(b.1).all() && b.0.cmple(a.1).all()
+}
+
+fn is_touched(touched: Touched, a: Vec3, b: Vec3) -> bool {
+    touched.is_none_or(|boxes| boxes.iter().any(|x| overlap(x, &(a.min(b), a.max(b)))))
+}
+
+/// Entries between an element and a representative that do not see each other, just above the surface.
+fn hidden_entries(world: &World, placed: &Placed, touched: Touched, old: Option<&Hidden>) -> Hidden {
+    let coarse = &placed.coarse;
+    let n = placed.surface.positions.len() as u32;
+    let entries = coarse.entries.len();
+    let lift = world.lift();
+    let sides = if placed.with_back { 2 } else { 1 };
+    let hidden: Vec<usize> = (0..sides * n)
+        .into_par_iter()
+        .with_min_len(256)
+        .flat_map_iter(|i| {
+            let (back, element) = (i >= n, i % n);
+            let first = placed.placement.elements.start + if back { n } else { 0 };
+            let above = move |element: u32| {
+                let slot = (first + element) as usize;
+                world.geometry.positions[slot] + world.geometry.normals[slot] * lift
+            };
+            let range = coarse.offsets[element as usize] as usize..coarse.offsets[element as usize + 1] as usize;
+            range.filter_map(move |e| {
+                let (from, to) = (above(element), above(coarse.representatives[coarse.entries[e].0 as usize]));
+                let hidden = match old {
+                    Some(old) if !is_touched(touched, from, to) => old.contains(back, e),
+                    _ => world.blocked(from, to),
+                };
+                hidden.then_some(e + if back { entries } else { 0 })
+            })
+        })
+        .collect();
+    Hidden::new(entries, &hidden)
+}
+
+/// Triangle slots whose valid corners were asked whether they see each other, and whether some do not.
+fn cut_triangles(world: &World, placed: &Placed, touched: Touched) -> Vec<(u32, bool)> {
+    let geometry = &world.geometry;
+    let lift = world.lift();
+    let n = placed.surface.positions.len() as u32;
+    let cut_on = |corners: [u32; 3]| {
+        let valid = corners.map(|c| world.validity.is_valid(c as usize));
+        let above = corners.map(|c| geometry.positions[c as usize] + geometry.normals[c as usize] * lift);
+        (0..3).any(|k| {
+            let l = (k + 1) % 3;
+            valid[k] && valid[l] && world.blocked(above[k], above[l])
+        })
+    };
+    placed
+        .placement
+        .triangles
+        .clone()
+        .into_par_iter()
+        .with_min_len(256)
+        .filter_map(|t| {
+            let corners = geometry.triangles[t as usize].elements;
+            let [a, b, c] = corners.map(|c| geometry.positions[c as usize]);
+            if !(is_touched(touched, a, b) || is_touched(touched, b, c) || is_touched(touched, c, a)) {
+                return None;
+            }
+            let cut = cut_on(corners) || placed.with_back && cut_on(corners.map(|c| c + n));
+            Some((t, cut))
+        })
+        .collect()
+}
