@@ -7,18 +7,15 @@ use glam::Vec3;
 use crate::accumulate::Accumulator;
 use crate::job::{Budget, Canceled, Observer, Pass};
 use crate::lightmap::LightMap;
-use crate::random::subseed;
+use crate::random::{Pcg32, subseed};
 use crate::rounds::{self, Round};
-use crate::solve::{Exchange, Rows, Subset};
+use crate::solve::{Exchange, Rows, Source, Subset};
 use crate::transport::direct::direct_of;
-use crate::transport::{LightField, Surfel, Work, gather};
+use crate::transport::{Surfel, Work, gather, light_at};
 use crate::world::World;
 
 /// Samples per representative and round: at least, at most.
 const SOLVE_SAMPLES: (u32, u32) = (16, 64);
-
-/// Hits nearer than this many spacings are not looked up ([`LightField::near`]).
-pub(crate) const NEAR: f32 = 2.0;
 
 /// Bakes a light map. Progressive: the observer gets a snapshot after every round. Ends by the budget or when the
 /// observer plans no further round; the same inputs, seed and plan give the same bits.
@@ -64,8 +61,7 @@ impl<'a> Baker<'a> {
         let (exchange, bounces) = self.solve(&direct, round)?;
         let total: Vec<Vec3> = direct.iter().zip(&bounces).map(|(d, b)| *d + *b).collect();
         (round.begin)(Pass::FinalGather, 0.4);
-        let field = LightField { total: &total, near: NEAR * world.spacing() };
-        let indirect = gather(world, &field, &self.slots, round.samples, round.seed, work)?;
+        let indirect = gather(world, &total, &self.slots, round.samples, round.seed, work)?;
         let mut indirect = self.scatter(&indirect);
         // The gather, with the near-field rule and at all elements, is better than the solution that it looked up. What
         // it found anew has bounces of its own.
@@ -80,7 +76,14 @@ impl<'a> Baker<'a> {
     fn solve(&self, direct: &[Vec3], round: &Round) -> Result<(Exchange<'_>, Vec<Vec3>), Canceled> {
         let mut direct = direct.to_vec();
         self.world.validity.fill(&mut direct);
-        let source = |_: u32, s: &Surfel| s.elements.map_or(Vec3::ZERO, |e| s.albedo * s.interpolate(e, &direct));
+        let source = |_: u32, s: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64| {
+            let light = match s.elements {
+                Some(elements) if !near => s.interpolate(elements, &direct),
+                _ => light_at(self.world, s, rng, rays),
+            };
+            s.albedo * light
+        };
+        let source = Source { radiance: source, sky: self.world.emitters.environment };
         let samples = round.samples.clamp(SOLVE_SAMPLES.0, SOLVE_SAMPLES.1);
         let seed = subseed(round.seed, 0x50);
         let exchange = Exchange::trace(self.world, &self.subset, &self.rows, &source, samples, seed, self.work)?;

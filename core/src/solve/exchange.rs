@@ -1,4 +1,4 @@
-//! Transport between representatives, sampled: every ray of a representative that meets a surface is one entry of a
+//! Transport between representatives, sampled: every path of a representative that ends at a surface is one entry of a
 //! sparse matrix T̂, whose expectation is the transport operator.
 //!
 //! With `u = G[source]` from the same rays, `X = u + T̂ X` holds all bounces of the source, and no ray is traced for any
@@ -9,11 +9,10 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::{Subset, gmres};
-use crate::bvh::Ray;
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
-use crate::transport::{Surfel, Work};
+use crate::transport::{End, Surfel, Work, walk};
 use crate::world::World;
 
 /// Residual of the solve, relative to its source.
@@ -24,13 +23,23 @@ const CHUNK: usize = 32;
 
 const NONE: u32 = u32::MAX;
 
-/// What one ray of a representative met.
+/// Where one path of a representative ended.
 #[derive(Clone, Copy, Debug)]
 struct Entry {
-    /// Row of the matrix, `NONE` where the ray left or met what is not among the rows.
+    /// Row of the matrix; `NONE` where the path left or ended at what is not among the rows.
     row: u32,
-    /// Part, for the albedo.
-    part: u32,
+    /// Product of the albedos on the way.
+    weight: Vec3,
+}
+
+/// What sends light into a system.
+pub(crate) struct Source<F> {
+    /// `radiance(slot, surfel, near, rng, rays)` is what a surface sends to a point of element `slot` (or of an object
+    /// without elements, `u32::MAX`); near ones are not to be looked up where the light there can be had otherwise. It
+    /// may differ by receiver.
+    pub radiance: F,
+    /// What paths bring that leave the scene behind near surfaces.
+    pub sky: Vec3,
 }
 
 /// The representatives that a matrix is over.
@@ -66,7 +75,6 @@ impl Rows {
 
 /// A sampled transport matrix and the first gather of a source along its rays.
 pub(crate) struct Exchange<'a> {
-    world: &'a World,
     rows: &'a Rows,
     samples: usize,
     /// `samples` entries a row.
@@ -76,19 +84,18 @@ pub(crate) struct Exchange<'a> {
 }
 
 impl<'a> Exchange<'a> {
-    /// Traces `samples` rays from every row. `source(slot, surfel)` is the radiance that the source sends from a point
-    /// to the element `slot`; it may differ by receiver.
-    pub(crate) fn trace(
+    /// Traces `samples` paths from every row, to the first surface that can be looked up (near-field rule).
+    pub(crate) fn trace<F: Fn(u32, &Surfel, bool, &mut Pcg32, &mut u64) -> Vec3 + Sync>(
         world: &'a World,
         subset: &Subset,
         rows: &'a Rows,
-        source: &(impl Fn(u32, &Surfel) -> Vec3 + Sync),
+        source: &Source<F>,
         samples: u32,
         seed: u64,
         work: &Work,
     ) -> Result<Exchange<'a>, Canceled> {
         let samples = samples.max(1) as usize;
-        let mut entries = vec![Entry { row: NONE, part: 0 }; rows.members.len() * samples];
+        let mut entries = vec![Entry { row: NONE, weight: Vec3::ZERO }; rows.members.len() * samples];
         let mut first = vec![Vec3::ZERO; rows.members.len()];
         let seed = subseed(seed, 0xec);
         let tasks = first.par_chunks_mut(CHUNK).zip(entries.par_chunks_mut(CHUNK * samples));
@@ -102,15 +109,14 @@ impl<'a> Exchange<'a> {
             work.count(rays);
             Ok(())
         })?;
-        Ok(Exchange { world, rows, samples, entries, first })
+        Ok(Exchange { rows, samples, entries, first })
     }
 
     /// T̂ x.
     fn apply(&self, x: &[Vec3]) -> Vec<Vec3> {
-        let parts = &self.world.parts;
         let of_row = |entries: &[Entry]| -> Vec3 {
             let met = entries.iter().filter(|e| e.row != NONE);
-            met.map(|e| parts[e.part as usize].albedo * x[e.row as usize]).sum::<Vec3>() / self.samples as f32
+            met.map(|e| e.weight * x[e.row as usize]).sum::<Vec3>() / self.samples as f32
         };
         self.entries.par_chunks(self.samples).with_min_len(256).map(of_row).collect()
     }
@@ -135,12 +141,12 @@ impl<'a> Exchange<'a> {
 }
 
 #[expect(clippy::too_many_arguments, reason = "a private step of one loop")]
-fn trace_row(
+fn trace_row<F: Fn(u32, &Surfel, bool, &mut Pcg32, &mut u64) -> Vec3>(
     world: &World,
     subset: &Subset,
     rows: &Rows,
     slot: u32,
-    source: &impl Fn(u32, &Surfel) -> Vec3,
+    source: &Source<F>,
     entries: &mut [Entry],
     seed: u64,
     rays: &mut u64,
@@ -151,14 +157,20 @@ fn trace_row(
     let mut sum = Vec3::ZERO;
     for (k, entry) in entries.iter_mut().enumerate() {
         let direction = cosine_hemisphere(n, sequence.get(k as u32));
-        let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
-        *rays += 1;
-        let Some(hit) = world.trees.closest_hit(&ray) else { continue };
-        let Some(surfel) = Surfel::to_look_up(world, &ray, &hit, rays) else { continue };
-        sum += source(slot, &surfel);
-        let u = [rng.next_f32(), rng.next_f32(), rng.next_f32()];
-        if let Some(representative) = subset.sample(world, &surfel, u) {
-            *entry = Entry { row: rows.row(representative), part: surfel.part };
+        let mut receiver = slot;
+        let end = walk(world, origin, direction, &mut rng, rays, |surfel, weight, near, rng, rays| {
+            sum += weight * (source.radiance)(receiver, surfel, near, rng, rays);
+            receiver = surfel.nearest_element();
+        });
+        match end {
+            End::Landed(surfel, weight) => {
+                let u = [rng.next_f32(), rng.next_f32(), rng.next_f32()];
+                if let Some(representative) = subset.sample(world, &surfel, u) {
+                    *entry = Entry { row: rows.row(representative), weight };
+                }
+            }
+            End::Escaped(weight) => sum += weight * source.sky,
+            End::Absorbed => {}
         }
     }
     sum / entries.len() as f32

@@ -11,7 +11,7 @@ mod walk;
 pub(crate) use direct::DirectLight;
 pub(crate) use gather::gather;
 pub(crate) use surfel::Surfel;
-pub(crate) use walk::{LightField, incoming_light};
+pub(crate) use walk::{End, incoming_light, light_at, walk};
 
 use std::sync::atomic::{AtomicU64, Ordering};
 

@@ -79,6 +79,14 @@ impl Surfel {
         }
     }
 
+    /// The element slot that weighs most; `u32::MAX` where there is none.
+    #[inline]
+    pub(crate) fn nearest_element(&self) -> u32 {
+        let [a, b, c] = self.weights;
+        let k = if a >= b && a >= c { 0 } else { 1 + usize::from(c > b) };
+        self.elements.map_or(u32::MAX, |e| e[k])
+    }
+
     /// Barycentric look-up.
     #[inline]
     pub(crate) fn interpolate(&self, elements: [u32; 3], values: &[Vec3]) -> Vec3 {

@@ -21,9 +21,9 @@ use crate::accumulate::Accumulator;
 use crate::bake::Baker;
 use crate::job::{Budget, Canceled, Observer, Pass};
 use crate::lightmap::LightMap;
-use crate::random::subseed;
+use crate::random::{Pcg32, subseed};
 use crate::rounds::{self, Round};
-use crate::solve::{Exchange, Rows, Subset};
+use crate::solve::{Exchange, Rows, Source, Subset};
 use crate::transport::{Surfel, Work};
 use crate::world::{Transition, World};
 
@@ -174,10 +174,12 @@ impl<'a> Updater<'a> {
         world.validity.fill(&mut seen_by_new);
         let is_new = self.new_flags();
         let repainted = self.repaint.iter().any(|r| *r != Vec3::ZERO);
-        let first = |slot: u32, s: &Surfel| {
+        // Near surfaces are looked up too: the change has no other estimate there. Its bounces are not. New rows have
+        // gone on from near surfaces through the new scene when they were gathered.
+        let change = |slot: u32, s: &Surfel, near: bool, _: &mut Pcg32, _: &mut u64| {
             let Some(elements) = s.elements else { return Vec3::ZERO };
-            if is_new[slot as usize] {
-                return s.albedo * s.interpolate(elements, &seen_by_new);
+            if is_new.get(slot as usize).copied().unwrap_or(false) {
+                return if near { Vec3::ZERO } else { s.albedo * s.interpolate(elements, &seen_by_new) };
             }
             let change = s.albedo * s.interpolate(elements, &seen_by_old);
             if !repainted {
@@ -185,9 +187,10 @@ impl<'a> Updater<'a> {
             }
             change + self.repaint[s.part as usize] * s.interpolate(elements, &self.old_total)
         };
+        let source = Source { radiance: change, sky: Vec3::ZERO };
         let samples = (round.samples * 2).clamp(PROPAGATION_SAMPLES, 64);
         let seed = subseed(round.seed, 0x9409);
-        let exchange = Exchange::trace(world, &self.subset, &self.rows, &first, samples, seed, self.work)?;
+        let exchange = Exchange::trace(world, &self.subset, &self.rows, &source, samples, seed, self.work)?;
         let bounces = exchange.to_representatives(&self.subset, &exchange.all_bounces(&exchange.first));
         let mut field = self.subset.interpolate(&bounces);
         world.validity.fill(&mut field);

@@ -3,13 +3,12 @@
 use glam::Vec3;
 
 use super::Updater;
-use crate::bake::NEAR;
 use crate::job::Canceled;
-use crate::random::subseed;
+use crate::random::{Pcg32, subseed};
 use crate::rounds::Round;
-use crate::solve::{Exchange, Rows};
+use crate::solve::{Exchange, Rows, Source};
 use crate::transport::direct::direct_of;
-use crate::transport::{LightField, Surfel, gather};
+use crate::transport::{Surfel, gather, light_at};
 
 /// Samples of new rows per sample of the others: they have no old map to lean on (design, section 3.8 c).
 const NEW_ROW_SAMPLES: u32 = 4;
@@ -40,8 +39,7 @@ impl Updater<'_> {
             let known = round.sum.indirect();
             rows.iter().for_each(|&slot| field[slot as usize] += known[slot as usize]);
         }
-        let light = LightField { total: &field, near: NEAR * world.spacing() };
-        let gathered = gather(world, &light, rows, samples, subseed(round.seed, 0x0b), work)?;
+        let gathered = gather(world, &field, rows, samples, subseed(round.seed, 0x0b), work)?;
         rows.iter().zip(gathered).for_each(|(&slot, i)| indirect[slot as usize] = i);
         Ok(())
     }
@@ -52,7 +50,14 @@ impl Updater<'_> {
         let is_new = self.new_flags();
         let rows = Rows::only(&self.subset, |slot| is_new[slot as usize]);
         let light = &*field;
-        let source = |_: u32, s: &Surfel| s.elements.map_or(Vec3::ZERO, |e| s.albedo * s.interpolate(e, light));
+        let source = |_: u32, s: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64| {
+            let light = match s.elements {
+                Some(elements) if !near => s.interpolate(elements, light),
+                _ => light_at(world, s, rng, rays),
+            };
+            s.albedo * light
+        };
+        let source = Source { radiance: source, sky: world.emitters.environment };
         let seed = subseed(seed, 0x5e1f);
         let exchange = Exchange::trace(world, &self.subset, &rows, &source, SELF_SAMPLES, seed, self.work)?;
         let values = exchange.to_representatives(&self.subset, &exchange.all_bounces(&exchange.first));
