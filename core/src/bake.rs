@@ -63,10 +63,10 @@ impl<'a> Baker<'a> {
         (round.begin)(Pass::FinalGather, 0.4);
         let indirect = gather(world, &total, &self.slots, round.samples, round.seed, work)?;
         let mut indirect = self.scatter(&indirect);
-        // The gather, with the near-field rule and at all elements, is better than the solution that it looked up. What
-        // it found anew has bounces of its own.
-        let of_row = |&m: &u32| self.subset.slots[m as usize] as usize;
-        let residual: Vec<Vec3> = self.rows.members.iter().map(of_row).map(|s| indirect[s] - bounces[s]).collect();
+        // The gather is better than the solution that it looked up: at all elements, not on a subset. What it found anew
+        // has bounces of its own.
+        let mut residual: Vec<Vec3> = indirect.iter().zip(&bounces).map(|(i, b)| *i - *b).collect();
+        world.validity.fill(&mut residual);
         let missing = self.spread(&exchange, &exchange.settle(&residual));
         self.slots.iter().for_each(|&slot| indirect[slot as usize] += missing[slot as usize]);
         Ok((direct, indirect))

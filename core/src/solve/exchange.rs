@@ -28,6 +28,8 @@ const NONE: u32 = u32::MAX;
 struct Entry {
     /// Row of the matrix; `NONE` where the path left or ended at what is not among the rows.
     row: u32,
+    /// Slot of an element of the triangle that it ended on, drawn by barycentric weight; `NONE` where it left.
+    element: u32,
     /// Product of the albedos on the way.
     weight: Vec3,
 }
@@ -95,7 +97,7 @@ impl<'a> Exchange<'a> {
         work: &Work,
     ) -> Result<Exchange<'a>, Canceled> {
         let samples = samples.max(1) as usize;
-        let mut entries = vec![Entry { row: NONE, weight: Vec3::ZERO }; rows.members.len() * samples];
+        let mut entries = vec![Entry { row: NONE, element: NONE, weight: Vec3::ZERO }; rows.members.len() * samples];
         let mut first = vec![Vec3::ZERO; rows.members.len()];
         let seed = subseed(seed, 0xec);
         let tasks = first.par_chunks_mut(CHUNK).zip(entries.par_chunks_mut(CHUNK * samples));
@@ -126,10 +128,16 @@ impl<'a> Exchange<'a> {
         gmres::solve(|x| self.apply(x), first, TOLERANCE)
     }
 
-    /// What is missing where a better gather of the same light differs from the solution by `residual` per row:
-    /// `Σ_{j ≥ 1} T̂ʲ r`.
+    /// What is missing where a better gather of the same light differs from the solution by `residual`, per element
+    /// slot: `Σ_{j ≥ 1} Tʲ r`. Its first bounce is gathered at full resolution: the solution, interpolated from its
+    /// representatives, is off where there are none, in corners above all.
     pub(crate) fn settle(&self, residual: &[Vec3]) -> Vec<Vec3> {
-        self.all_bounces(&self.apply(residual))
+        let of_row = |entries: &[Entry]| -> Vec3 {
+            let met = entries.iter().filter(|e| e.element != NONE);
+            met.map(|e| e.weight * residual[e.element as usize]).sum::<Vec3>() / self.samples as f32
+        };
+        let first: Vec<Vec3> = self.entries.par_chunks(self.samples).with_min_len(256).map(of_row).collect();
+        self.all_bounces(&first)
     }
 
     /// Values of rows at all representatives; zero at those that are no rows.
@@ -165,9 +173,8 @@ fn trace_row<F: Fn(u32, &Surfel, bool, &mut Pcg32, &mut u64) -> Vec3>(
         match end {
             End::Landed(surfel, weight) => {
                 let u = [rng.next_f32(), rng.next_f32(), rng.next_f32()];
-                if let Some(representative) = subset.sample(world, &surfel, u) {
-                    *entry = Entry { row: rows.row(representative), weight };
-                }
+                let row = subset.sample(world, &surfel, u).map_or(NONE, |r| rows.row(r));
+                *entry = Entry { row, element: surfel.element_by_weight(u[0]), weight };
             }
             End::Escaped(weight) => sum += weight * source.sky,
             End::Absorbed => {}

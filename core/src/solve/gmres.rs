@@ -132,8 +132,7 @@ mod tests {
     /// A random contraction with row sums `albedo`, one of them per channel.
     fn transport(n: usize, albedo: Vec3) -> impl Fn(&[Vec3]) -> Vec<Vec3> {
         let mut rng = Pcg32::new(3, 4);
-        let columns: Vec<[usize; 8]> =
-            (0..n).map(|_| std::array::from_fn(|_| (rng.next_u32() as usize) % n)).collect();
+        let columns: Vec<[usize; 8]> = (0..n).map(|_| std::array::from_fn(|_| (rng.next_u32() as usize) % n)).collect();
         move |x| columns.iter().map(|c| albedo * c.iter().map(|&i| x[i]).sum::<Vec3>() / 8.0).collect()
     }
 

@@ -72,7 +72,8 @@ impl Subset {
         if !complete {
             for element in 0..placed.surface.positions.len() as u32 {
                 let range = coarse.offsets[element as usize] as usize..coarse.offsets[element as usize + 1] as usize;
-                let known = range.into_iter().any(|e| !hidden.contains(back, e) && index[coarse.entries[e].0 as usize] != NONE);
+                let known =
+                    range.into_iter().any(|e| !hidden.contains(back, e) && index[coarse.entries[e].0 as usize] != NONE);
                 if !known && computed(element) {
                     alone.push((element, self.slots.len() as u32));
                     self.slots.push(first_slot + element);

@@ -87,6 +87,13 @@ impl Surfel {
         self.elements.map_or(u32::MAX, |e| e[k])
     }
 
+    /// An element slot drawn by its weight, with a uniform number.
+    #[inline]
+    pub(crate) fn element_by_weight(&self, u: f32) -> u32 {
+        let [a, b, _] = self.weights;
+        self.elements.map_or(u32::MAX, |e| e[usize::from(u >= a) + usize::from(u >= a + b)])
+    }
+
     /// Barycentric look-up.
     #[inline]
     pub(crate) fn interpolate(&self, elements: [u32; 3], values: &[Vec3]) -> Vec3 {

@@ -94,7 +94,11 @@ impl<'a> Source<'a> {
         }
         // The static surface as it was, in both worlds: repainted surfaces are a source of their own.
         let unchanged = |hit: &Option<Hit>, rays: &mut u64| look(&t.before, ray, hit.as_ref(), maps.before, rays);
-        let after = if came_t < behind_t { look(&t.after, ray, came.as_ref(), maps.after, rays) } else { unchanged(&behind, rays) };
+        let after = if came_t < behind_t {
+            look(&t.after, ray, came.as_ref(), maps.after, rays)
+        } else {
+            unchanged(&behind, rays)
+        };
         let before = if went_t < behind_t { unchanged(&went, rays) } else { unchanged(&behind, rays) };
         let sky = |world: &World, hidden: bool| if hidden { Vec3::ZERO } else { world.emitters.environment };
         let free = behind.is_none();
