@@ -1,5 +1,6 @@
 //! Light maps from scratch, by the propagator of the updates: the source is the direct light.
 
+use std::cell::OnceCell;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -11,18 +12,21 @@ use crate::random::{Pcg32, subseed};
 use crate::rounds::{self, Round};
 use crate::solve::{Exchange, Rows, Source, Subset};
 use crate::transport::direct::direct_of;
-use crate::transport::{Surfel, Work, gather, light_at};
+use crate::transport::{Field, Rough, Surfel, Work, gather};
 use crate::world::World;
 
 /// Samples per representative and round: at least, at most.
 const SOLVE_SAMPLES: (u32, u32) = (16, 64);
 
+/// Samples of direct light that tell where it is rough.
+const ROUGH_SAMPLES: u32 = 4;
+
 /// Bakes a light map. Progressive: the observer gets a snapshot after every round. Ends by the budget or when the
 /// observer plans no further round; the same inputs, seed and plan give the same bits.
 pub fn bake(world: &World, budget: &Budget, seed: u64, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
     let work = Work::new(observer);
-    let baker = Baker::new(world, &work);
     let seed = subseed(seed, 0xba6e);
+    let baker = Baker::new(world, seed, &work);
     let areas = world.areas();
     let map = rounds::run(world.slots(), areas, budget, seed, &work, |r| baker.round(r), |s| baker.compose(s))?;
     Ok(map.unwrap_or_else(|| Arc::new(LightMap::black(world.slots()))))
@@ -34,13 +38,16 @@ pub(crate) struct Baker<'a> {
     slots: Vec<u32>,
     subset: Subset,
     rows: Rows,
+    rough: OnceCell<Rough>,
+    seed: u64,
     work: &'a Work<'a>,
 }
 
 impl<'a> Baker<'a> {
-    pub(crate) fn new(world: &'a World, work: &'a Work<'a>) -> Baker<'a> {
+    pub(crate) fn new(world: &'a World, seed: u64, work: &'a Work<'a>) -> Baker<'a> {
         let subset = Subset::new(world);
-        Baker { world, slots: world.computed_slots(), rows: Rows::all(&subset), subset, work }
+        let (slots, rows) = (world.computed_slots(), Rows::all(&subset));
+        Baker { world, slots, subset, rows, rough: OnceCell::new(), seed: subseed(seed, 0x4006), work }
     }
 
     /// The mean of all rounds.
@@ -58,10 +65,12 @@ impl<'a> Baker<'a> {
         (round.begin)(Pass::Propagation, 0.25);
         // Each round solves anew, from its own direct light: rounds stay independent, so that their scatter is the
         // error of their mean, and since all is linear the mean is the solution of the mean direct light.
-        let (exchange, bounces) = self.solve(&direct, round)?;
-        let total: Vec<Vec3> = direct.iter().zip(&bounces).map(|(d, b)| *d + *b).collect();
+        let mut filled_direct = direct.clone();
+        world.validity.fill(&mut filled_direct);
+        let (exchange, bounces) = self.solve(&filled_direct, round)?;
+        let field = Field { direct: &filled_direct, indirect: &bounces, rough: self.rough()? };
         (round.begin)(Pass::FinalGather, 0.4);
-        let indirect = gather(world, &total, &self.slots, round.samples, round.seed, work)?;
+        let indirect = gather(world, &field, &self.slots, round.samples, round.seed, work)?;
         let mut indirect = self.scatter(&indirect);
         // The gather is better than the solution that it looked up: at all elements, not on a subset. What it found anew
         // has bounces of its own.
@@ -74,19 +83,15 @@ impl<'a> Baker<'a> {
 
     /// All bounces of the direct light, on the subset and interpolated to all slots.
     fn solve(&self, direct: &[Vec3], round: &Round) -> Result<(Exchange<'_>, Vec<Vec3>), Canceled> {
-        let mut direct = direct.to_vec();
-        self.world.validity.fill(&mut direct);
+        let world = self.world;
+        let field = Field { direct, indirect: &[], rough: self.rough()? };
         let source = |_: u32, s: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64| {
-            let light = match s.elements {
-                Some(elements) if !near => s.interpolate(elements, &direct),
-                _ => light_at(self.world, s, rng, rays),
-            };
-            s.albedo * light
+            s.albedo * field.at(world, s, near, rng, rays)
         };
-        let source = Source { radiance: source, sky: self.world.emitters.environment };
+        let source = Source { radiance: source, sky: world.emitters.environment };
         let samples = round.samples.clamp(SOLVE_SAMPLES.0, SOLVE_SAMPLES.1);
         let seed = subseed(round.seed, 0x50);
-        let exchange = Exchange::trace(self.world, &self.subset, &self.rows, &source, samples, seed, self.work)?;
+        let exchange = Exchange::trace(world, &self.subset, &self.rows, &source, samples, seed, self.work)?;
         let bounces = self.spread(&exchange, &exchange.all_bounces(&exchange.first));
         Ok((exchange, bounces))
     }
@@ -95,6 +100,16 @@ impl<'a> Baker<'a> {
         let mut field = self.subset.interpolate(&exchange.to_representatives(&self.subset, values));
         self.world.validity.fill(&mut field);
         field
+    }
+
+    /// Where direct light is not to be looked up, judged once, by samples of its own.
+    fn rough(&self) -> Result<&Rough, Canceled> {
+        if let Some(rough) = self.rough.get() {
+            return Ok(rough);
+        }
+        let mut direct = self.scatter(&direct_of(self.world, &self.slots, ROUGH_SAMPLES, self.seed, self.work)?);
+        self.world.validity.fill(&mut direct);
+        Ok(self.rough.get_or_init(|| Rough::new(self.world, &direct)))
     }
 
     fn scatter(&self, values: &[Vec3]) -> Vec<Vec3> {

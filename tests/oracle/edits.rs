@@ -146,3 +146,21 @@ fn several_edits_in_one_request() {
     ];
     check("six edits", &room_with_crate(), &edits, Vec3::new(1.5, 0.3, 1.5));
 }
+
+#[test]
+fn objects_without_triangles_can_be_edited() {
+    let mut objects = room_objects(0.7);
+    objects.push(Object::new("glass", Mesh::default(), Material::diffuse(Vec3::ZERO)));
+    let before = world(objects, 0.3);
+    let old = bake(&before, &budget(16), 1, &Unobserved).expect("nobody cancels");
+    let glass = before.objects().find(|o| o.name == "glass").expect("it is an object");
+    assert!(glass.element_count == 0 && glass.bounds.0.is_finite() && glass.bounds.1.is_finite());
+    let step = Edit::Move { object: "glass".into(), transform: DMat4::from_translation(DVec3::X) };
+    let moved = before.apply(&[step]).expect("it moves");
+    let removed = moved.after.apply(&[Edit::Remove { objects: vec!["glass".into()] }]).expect("it goes");
+    for transition in [&moved, &removed] {
+        let new = update(transition, &old, &budget(16), 2, &Unobserved).expect("nobody cancels");
+        assert_eq!(new.direct, old.direct);
+        assert_eq!(new.indirect, old.indirect);
+    }
+}

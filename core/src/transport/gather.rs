@@ -2,15 +2,15 @@
 
 use glam::Vec3;
 
-use super::{Canceled, Work, incoming_light};
+use super::{Canceled, Field, Work, incoming_light};
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
 use crate::world::World;
 
-/// Gathers a light map (`total`: direct + indirect per slot) with the near-field rule: reflected light only.
+/// Gathers a light map with the near-field rule: reflected light only.
 pub(crate) fn gather(
     world: &World,
-    total: &[Vec3],
+    field: &Field,
     slots: &[u32],
     samples: u32,
     seed: u64,
@@ -24,7 +24,7 @@ pub(crate) fn gather(
         let mut sum = Vec3::ZERO;
         for k in 0..samples {
             let direction = cosine_hemisphere(n, sequence.get(k));
-            sum += incoming_light(world, total, origin, direction, &mut rng, rays);
+            sum += incoming_light(world, field, origin, direction, &mut rng, rays);
         }
         sum / samples as f32
     })

@@ -11,7 +11,7 @@ mod walk;
 pub(crate) use direct::DirectLight;
 pub(crate) use gather::gather;
 pub(crate) use surfel::Surfel;
-pub(crate) use walk::{End, incoming_light, light_at, walk};
+pub(crate) use walk::{End, Field, Rough, incoming_light, walk};
 
 use std::sync::atomic::{AtomicU64, Ordering};
 

@@ -16,6 +16,8 @@ pub(crate) struct Surfel {
     pub albedo: Vec3,
     /// Index of its part.
     pub part: u32,
+    /// Its triangle's slot.
+    pub triangle: u32,
     /// Element slots of the corners on that side; none where there are none that know the light of this point.
     pub elements: Option<[u32; 3]>,
     /// Weights of the corners, sum 1.
@@ -42,6 +44,7 @@ impl Surfel {
             normal: if back { -hit.normal } else { hit.normal },
             albedo: part.albedo,
             part: record.part(),
+            triangle: hit.triangle,
             elements,
             weights: [1.0 - hit.u - hit.v, hit.u, hit.v],
         })

@@ -3,6 +3,7 @@
 //! elements carried 54 % of the squared bias). Light is sampled at the hit instead, and the path goes on.
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::Surfel;
 use super::direct::one_light;
@@ -76,12 +77,68 @@ pub(crate) fn walk(
     End::Absorbed
 }
 
-/// Reflected radiance that arrives at `origin` from `direction`; `total` is irradiance / π per slot. What lights send
-/// there directly is not in it.
+/// Light to look up where paths land, irradiance / π per slot.
+#[derive(Clone, Copy)]
+pub(crate) struct Field<'a> {
+    /// Straight from lights.
+    pub direct: &'a [Vec3],
+    /// After at least one bounce; empty where there is none.
+    pub indirect: &'a [Vec3],
+    /// Where the direct light must not be looked up.
+    pub rough: &'a Rough,
+}
+
+/// Triangles over which direct light changes so much that interpolation between their corners would be off: at the
+/// edges of shadows and close to lamps.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Rough {
+    triangles: Vec<bool>,
+}
+
+/// Difference of the direct light at a triangle's corners over their mean from which on it is rough.
+const ROUGH: f32 = 0.5;
+
+impl Rough {
+    /// Judges by an estimate of the direct light per slot that nothing else uses: the choice must not know the noise of
+    /// what it chooses between.
+    pub(crate) fn new(world: &World, direct: &[Vec3]) -> Rough {
+        let light = |e: u32| direct[e as usize].element_sum();
+        let is_rough = |corners: [u32; 3]| {
+            let [a, b, c] = corners.map(light);
+            a.max(b).max(c) - a.min(b).min(c) > ROUGH / 3.0 * (a + b + c)
+        };
+        let of_triangle = |t: &crate::world::TriangleRecord| {
+            let offset = world.parts.get(t.part() as usize).map_or(0, |p| p.back_offset);
+            is_rough(t.elements) || offset > 0 && is_rough(t.elements.map(|e| e + offset))
+        };
+        Rough { triangles: world.geometry.triangles.par_iter().with_min_len(4096).map(of_triangle).collect() }
+    }
+
+    #[inline]
+    fn contains(&self, triangle: u32) -> bool {
+        self.triangles.get(triangle as usize).copied().unwrap_or(false)
+    }
+}
+
+impl Field<'_> {
+    /// Light of a surface that a path met, irradiance / π. Near ones get one sample of direct light and nothing else:
+    /// the path goes on from there.
+    #[inline]
+    pub(crate) fn at(&self, world: &World, surfel: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
+        let Some(elements) = surfel.elements.filter(|_| !near) else { return light_at(world, surfel, rng, rays) };
+        let indirect = if self.indirect.is_empty() { Vec3::ZERO } else { surfel.interpolate(elements, self.indirect) };
+        if self.rough.contains(surfel.triangle) {
+            return indirect + light_at(world, surfel, rng, rays) + sky_at(world, surfel, rng, rays);
+        }
+        indirect + surfel.interpolate(elements, self.direct)
+    }
+}
+
+/// Reflected radiance that arrives at `origin` from `direction`. What lights send there directly is not in it.
 #[inline]
 pub(crate) fn incoming_light(
     world: &World,
-    total: &[Vec3],
+    field: &Field,
     origin: Vec3,
     direction: Vec3,
     rng: &mut Pcg32,
@@ -89,11 +146,7 @@ pub(crate) fn incoming_light(
 ) -> Vec3 {
     let mut radiance = Vec3::ZERO;
     let end = walk(world, origin, direction, rng, rays, |surfel, weight, near, rng, rays| {
-        let light = match surfel.elements {
-            Some(elements) if !near => surfel.interpolate(elements, total),
-            _ => light_at(world, surfel, rng, rays),
-        };
-        radiance += weight * surfel.albedo * light;
+        radiance += weight * surfel.albedo * field.at(world, surfel, near, rng, rays);
     });
     if let End::Escaped(weight) = end {
         radiance += weight * world.emitters.environment;
@@ -103,6 +156,19 @@ pub(crate) fn incoming_light(
 
 /// Light that a surface gets straight from one of the lights, irradiance / π; the sky's is where a path escapes.
 #[inline]
-pub(crate) fn light_at(world: &World, surfel: &Surfel, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
+fn light_at(world: &World, surfel: &Surfel, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
     one_light(world, surfel.position + surfel.normal * world.epsilon, surfel.normal, rng, rays)
+}
+
+/// Light of the sky at a surface, one sample.
+#[inline]
+fn sky_at(world: &World, surfel: &Surfel, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
+    if world.emitters.environment == Vec3::ZERO {
+        return Vec3::ZERO;
+    }
+    *rays += 1;
+    let origin = surfel.position + surfel.normal * world.epsilon;
+    let direction = cosine_hemisphere(surfel.normal, rng.next_2d());
+    let hidden = world.trees.any_hit(&Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY });
+    if hidden { Vec3::ZERO } else { world.emitters.environment }
 }

@@ -52,7 +52,7 @@ pub fn update(
                 return Ok((direct, indirect));
             }
         }
-        baker.get_or_init(|| Baker::new(world, &work)).round(r)
+        baker.get_or_init(|| Baker::new(world, seed, &work)).round(r)
     };
     let compose = |s: &Accumulator| baker.get().map_or_else(|| updater.compose(s), |b| b.compose(s));
     let result = rounds::run(world.slots(), areas, budget, seed, &work, round, compose)?;

@@ -8,7 +8,7 @@ use crate::random::{Pcg32, subseed};
 use crate::rounds::Round;
 use crate::solve::{Exchange, Rows, Source};
 use crate::transport::direct::direct_of;
-use crate::transport::{Surfel, gather, light_at};
+use crate::transport::{Field, Rough, Surfel, gather};
 
 /// Samples of new rows per sample of the others: they have no old map to lean on (design, section 3.8 c).
 const NEW_ROW_SAMPLES: u32 = 4;
@@ -39,7 +39,9 @@ impl Updater<'_> {
             let known = round.sum.indirect();
             rows.iter().for_each(|&slot| field[slot as usize] += known[slot as usize]);
         }
-        let gathered = gather(world, &field, rows, samples, subseed(round.seed, 0x0b), work)?;
+        let rough = Rough::default();
+        let light = Field { direct: &field, indirect: &[], rough: &rough };
+        let gathered = gather(world, &light, rows, samples, subseed(round.seed, 0x0b), work)?;
         rows.iter().zip(gathered).for_each(|(&slot, i)| indirect[slot as usize] = i);
         Ok(())
     }
@@ -49,13 +51,10 @@ impl Updater<'_> {
         let (world, slots) = (self.world, &self.transition.new_rows);
         let is_new = self.new_flags();
         let rows = Rows::only(&self.subset, |slot| is_new[slot as usize]);
-        let light = &*field;
+        let rough = Rough::default();
+        let light = Field { direct: field, indirect: &[], rough: &rough };
         let source = |_: u32, s: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64| {
-            let light = match s.elements {
-                Some(elements) if !near => s.interpolate(elements, light),
-                _ => light_at(world, s, rng, rays),
-            };
-            s.albedo * light
+            s.albedo * light.at(world, s, near, rng, rays)
         };
         let source = Source { radiance: source, sky: world.emitters.environment };
         let seed = subseed(seed, 0x5e1f);

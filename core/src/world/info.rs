@@ -40,7 +40,9 @@ impl World {
     pub fn objects(&self) -> impl Iterator<Item = ObjectInfo<'_>> {
         self.placed.iter().zip(&self.scene.objects).enumerate().map(|(index, (placed, object))| {
             let surface = &placed.surface;
-            let (low, high) = surface.bounds();
+            // An object without triangles is where its origin is.
+            let place = (object.world_from_object.w_axis.truncate() - self.scene.origin).as_vec3();
+            let (low, high) = if surface.vertices.is_empty() { (place, place) } else { surface.bounds() };
             let (mut albedo, mut area) = (Vec3::ZERO, 0.0);
             for (t, m) in surface.triangles.iter().zip(&surface.triangle_materials) {
                 let [a, b, c] = t.map(|i| surface.vertices[i as usize]);

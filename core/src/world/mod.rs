@@ -21,7 +21,7 @@ pub use trees::Trees;
 
 pub(crate) use coarse::Coarse;
 pub(crate) use emitters::{Emitter, Emitters};
-pub(crate) use geometry::{Geometry, Part, Placement};
+pub(crate) use geometry::{Geometry, Part, Placement, TriangleRecord};
 pub(crate) use sight::Hidden;
 pub(crate) use validity::Validity;
 

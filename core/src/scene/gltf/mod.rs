@@ -114,7 +114,7 @@ pub fn load_glb(bytes: &[u8], limits: &LoadLimits) -> Result<Scene, LoadError> {
     })
 }
 
-/// An object per node with a mesh that has triangles, each with the glTF side of its mesh; and the number of
+/// An object per node with a mesh, each with the glTF side of its mesh; and the number of
 /// dropped triangles.
 #[expect(clippy::type_complexity, reason = "a list of pairs and a count, read once, right below its only call")]
 fn read_objects(
@@ -133,8 +133,8 @@ fn read_objects(
         let loaded = meshes.get(mesh_index, &mut materials, warnings)?;
         let place = || format!("node {} \"{}\"", node.index, node.name);
         if loaded.mesh.triangles.is_empty() {
-            warnings.add("nodes whose mesh has no triangle that blocks light are left out", place());
-            continue;
+            // It stays an object that edits can name.
+            warnings.add("nodes whose mesh has no triangle that blocks light have no elements", place());
         }
         if DMat3::from_mat4(node.world_from_node).determinant() == 0.0 {
             warnings.add("nodes with a scale of zero are left out", place());
@@ -160,7 +160,7 @@ fn read_objects(
         };
         objects.push((object, loaded));
     }
-    if objects.is_empty() {
+    if triangles == 0 {
         let notes = std::mem::take(warnings).into_texts();
         let notes = if notes.is_empty() { String::new() } else { format!(" ({})", notes.join("; ")) };
         return Err(LoadError::Unsupported(format!("the scene has no triangle that light could fall on{notes}")));
@@ -171,7 +171,7 @@ fn read_objects(
 /// Bounds of all triangles in world space, metres.
 fn world_bounds(objects: &[(Object, Arc<LoadedMesh>)]) -> Result<(DVec3, DVec3), LoadError> {
     let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    for (object, _) in objects {
+    for (object, _) in objects.iter().filter(|(o, _)| !o.mesh.triangles.is_empty()) {
         let mesh = &object.mesh;
         let (mut object_low, mut object_high) = (low, high);
         for &corner in mesh.triangles.iter().flatten() {
