@@ -27,8 +27,17 @@ pub fn bake(world: &World, budget: &Budget, seed: u64, observer: &dyn Observer) 
     let work = Work::new(observer);
     let seed = subseed(seed, 0xba6e);
     let baker = Baker::new(world, seed, &work);
-    let areas = world.areas();
-    let map = rounds::run(world.slots(), areas, budget, seed, &work, |r| baker.round(r), |s| baker.compose(s))?;
+    let stated = |map: &LightMap| Some(map.estimated_rmse(world.areas()));
+    let map = rounds::run(
+        world.slots(),
+        budget,
+        seed,
+        &work,
+        stated,
+        |_, _| false,
+        |r| baker.round(r),
+        |s| baker.compose(s),
+    )?;
     Ok(map.unwrap_or_else(|| Arc::new(LightMap::black(world.slots()))))
 }
 

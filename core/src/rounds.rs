@@ -23,13 +23,16 @@ pub(crate) struct Round<'a> {
     pub begin: &'a dyn Fn(Pass, f32),
 }
 
-/// Runs rounds. `round` adds one to the accumulator; `compose` makes a light map of it.
+/// Runs rounds. `round` adds one to the accumulator; `compose` makes a light map of it, `stated` tells its
+/// error, `enough` whether more rounds are of use.
+#[expect(clippy::too_many_arguments, reason = "the parts of one loop, each named at its three calls")]
 pub(crate) fn run(
     len: usize,
-    areas: &[f32],
     budget: &Budget,
     seed: u64,
     work: &Work,
+    stated: impl Fn(&LightMap) -> Option<f32>,
+    enough: impl Fn(&Accumulator, &LightMap) -> bool,
     mut round: impl FnMut(&Round) -> Result<(Vec<glam::Vec3>, Vec<glam::Vec3>), Canceled>,
     compose: impl Fn(&Accumulator) -> LightMap,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
@@ -61,7 +64,7 @@ pub(crate) fn run(
         sum.add(samples, &direct, &indirect);
         let map = Arc::new(compose(&sum));
         if sum.knows_variance() {
-            estimated_rmse = Some(map.estimated_rmse(areas));
+            estimated_rmse = stated(&map);
         }
         let done = Progress {
             pass: Pass::FinalGather,
@@ -73,8 +76,10 @@ pub(crate) fn run(
         };
         observer.progress(&done);
         observer.snapshot(&map, &done);
+        let reached = matches!((budget.target_rmse, estimated_rmse), (Some(target), Some(rmse)) if rmse <= target);
+        let enough = reached || enough(&sum, &map);
         last = Some(map);
-        if matches!((budget.target_rmse, estimated_rmse), (Some(target), Some(rmse)) if rmse <= target) {
+        if enough {
             break;
         }
     }

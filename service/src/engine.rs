@@ -10,7 +10,7 @@ use rebake_core::export::{EXR_WIDTH, write_exr};
 use rebake_core::scene::{Light, LightKind, LoadLimits, load_glb};
 pub use rebake_core::scene::{LoadError, Scene};
 pub use rebake_core::surface::SurfaceError;
-pub use rebake_core::{Budget, Canceled, Edit, EditError, EditErrorKind, LightMap, Observer, Progress};
+pub use rebake_core::{Budget, Canceled, Edit, EditError, EditErrorKind, Focus, LightMap, Observer, Progress};
 pub use rebake_core::{Transition, World, WorldError};
 
 use crate::config::Limits;
@@ -31,31 +31,6 @@ pub trait Engine: Send + Sync + Debug {
 
     /// From the map of `transition.before` to that of `transition.after`.
     fn update(&self, work: &Update<'_>, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled>;
-}
-
-/// What a client looks at. World space, metres; angles in radians.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Focus {
-    /// What a camera sees.
-    Camera {
-        /// Where it stands.
-        eye: DVec3,
-        /// A point it looks at.
-        target: DVec3,
-        /// Upward, roughly.
-        up: DVec3,
-        /// Vertical field of view.
-        fov_y: f32,
-        /// Width ÷ height of the picture.
-        aspect: f32,
-    },
-    /// What lies in a sphere.
-    Sphere {
-        /// Its middle.
-        point: DVec3,
-        /// Its radius.
-        radius: f32,
-    },
 }
 
 /// The work of an edit job.
@@ -89,8 +64,7 @@ impl Engine for CoreEngine {
     }
 
     fn update(&self, work: &Update<'_>, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
-        // The engine has no order of importance yet: `work.focus` waits for it.
-        rebake_core::update(work.transition, work.map, work.budget, work.seed, observer)
+        rebake_core::update(work.transition, work.map, work.budget, work.focus, work.seed, observer)
     }
 }
 

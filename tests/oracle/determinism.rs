@@ -32,7 +32,7 @@ fn results_do_not_depend_on_threads() {
             let budget = Budget { samples_per_element: 16, target_rmse: None };
             let map = bake(&world, &budget, 3, &Unobserved).expect("nobody cancels");
             let transition = world.apply(&[insertion()]).expect("an insertion");
-            let updated = update(&transition, &map, &budget, 4, &Unobserved).expect("nobody cancels");
+            let updated = update(&transition, &map, &budget, None, 4, &Unobserved).expect("nobody cancels");
             (bits(&map), bits(&updated))
         })
     };
@@ -59,7 +59,7 @@ fn a_job_can_be_cancelled_at_any_question() {
     let mut at = 0;
     loop {
         let observer = CancelAt(AtomicU32::new(at));
-        match update(&transition, &map, &budget, 4, &observer) {
+        match update(&transition, &map, &budget, None, 4, &observer) {
             Err(Canceled) => at += 1 + at / 4,
             Ok(_) => break,
         }
@@ -82,7 +82,7 @@ fn budgets_end_the_work() {
     let budget = Budget { samples_per_element: 8, target_rmse: None };
     let map = bake(&world, &budget, 3, &Unobserved).expect("nobody cancels");
     let transition = world.apply(&[insertion()]).expect("an insertion");
-    let nothing = update(&transition, &map, &budget, 4, &Plan(0)).expect("nobody cancels");
+    let nothing = update(&transition, &map, &budget, None, 4, &Plan(0)).expect("nobody cancels");
     assert!(bits(&nothing) == bits(&transition.carry_over(&map)), "a plan of nothing leaves the old map");
     let target = 0.05;
     let loose = Budget { samples_per_element: 4096, target_rmse: Some(target) };

@@ -29,7 +29,7 @@ fn check(name: &str, before: &World, edits: &[Edit], near: Vec3) {
     let updated: Vec<Arc<LightMap>> = (0..REPLICATES)
         .map(|seed| {
             let old = bake(before, &budget(64), 50 + seed, &Unobserved).expect("nobody cancels");
-            update(&transition, &old, &budget(16), seed, &Unobserved).expect("nobody cancels")
+            update(&transition, &old, &budget(16), None, seed, &Unobserved).expect("nobody cancels")
         })
         .collect();
     type Pick = (&'static str, fn(&LightMap, usize) -> Vec3);
@@ -159,7 +159,7 @@ fn objects_without_triangles_can_be_edited() {
     let moved = before.apply(&[step]).expect("it moves");
     let removed = moved.after.apply(&[Edit::Remove { objects: vec!["glass".into()] }]).expect("it goes");
     for transition in [&moved, &removed] {
-        let new = update(transition, &old, &budget(16), 2, &Unobserved).expect("nobody cancels");
+        let new = update(transition, &old, &budget(16), None, 2, &Unobserved).expect("nobody cancels");
         assert_eq!(new.direct, old.direct);
         assert_eq!(new.indirect, old.indirect);
     }

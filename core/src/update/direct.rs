@@ -2,10 +2,12 @@
 
 use glam::Vec3;
 
+use super::extent::Extent;
 use crate::bvh::{Bvh, Ray};
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::{Spheres, cosine_hemisphere};
+use crate::solve::Subset;
 use crate::transport::direct::{SHADOW_END, below_horizon};
 use crate::transport::{DirectLight, Work};
 use crate::world::{Emitter, Transition, World};
@@ -60,23 +62,39 @@ impl<'a> DirectChange<'a> {
         DirectChange { transition, pairs, sphere: Spheres::new(&triangles).bounding() }
     }
 
-    /// Adds ΔD of all `rows` to `out`.
+    /// Adds ΔD of all rows of `extent` to `out`.
     pub(super) fn estimate(
         &self,
-        rows: &[u32],
+        extent: &Extent,
+        subset: &Subset,
         samples: u32,
         seed: u64,
         work: &Work,
         out: &mut [Vec3],
     ) -> Result<(), Canceled> {
-        let (before, after) = (&self.transition.before, &self.transition.after);
-        let counts = [DirectLight::new(before, samples), DirectLight::new(after, samples)];
-        let environment = after.emitters.environment - before.emitters.environment;
+        let (before, after) = (&self.transition.before.emitters, &self.transition.after.emitters);
+        let environment = after.environment - before.environment;
         if self.sphere.is_none() && environment == Vec3::ZERO && self.pairs.iter().all(|p| p.before == p.after) {
             return Ok(());
         }
+        let fine = self.change(&extent.fine, environment, samples, seed, work)?;
+        let spread = self.change(&extent.representatives, environment, samples, seed, work)?;
+        extent.add(subset, &fine, &spread, out);
+        Ok(())
+    }
+
+    fn change(
+        &self,
+        rows: &[u32],
+        environment: Vec3,
+        samples: u32,
+        seed: u64,
+        work: &Work,
+    ) -> Result<Vec<Vec3>, Canceled> {
+        let (before, after) = (&self.transition.before, &self.transition.after);
+        let counts = [DirectLight::new(before, samples), DirectLight::new(after, samples)];
         let seed = subseed(seed, 0xdd);
-        let change = work.map(rows, |_, slot, rays| {
+        work.map(rows, |_, slot, rays| {
             let (point, n) = after.ray_origin(slot as usize);
             let mut rng = Pcg32::new(seed, u64::from(slot));
             let mut sum = Vec3::ZERO;
@@ -88,9 +106,7 @@ impl<'a> DirectChange<'a> {
                 sum += environment * self.sky_before(point, n, samples, &mut rng, rays);
             }
             sum
-        })?;
-        rows.iter().zip(change).for_each(|(&slot, c)| out[slot as usize] += c);
-        Ok(())
+        })
     }
 
     fn pair_change(&self, pair: &Pair, count: u32, point: Vec3, n: Vec3, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {

@@ -9,19 +9,23 @@
 //!   `u_{k+1} = G_B[ρ u_k]`, a contraction whatever the edit.
 
 mod direct;
+mod extent;
 mod new_rows;
 mod source;
 
-use std::cell::OnceCell;
+use std::cell::{Cell, OnceCell};
 use std::sync::Arc;
 
 use glam::Vec3;
 
+use self::extent::Extent;
 use crate::accumulate::Accumulator;
 use crate::bake::Baker;
+use crate::focus::Focus;
 use crate::job::{Budget, Canceled, Observer, Pass};
 use crate::lightmap::LightMap;
 use crate::random::{Pcg32, subseed};
+use crate::refine::refine_with;
 use crate::rounds::{self, Round};
 use crate::solve::{Exchange, Rows, Source, Subset};
 use crate::transport::{Surfel, Work};
@@ -30,12 +34,24 @@ use crate::world::{Transition, World};
 /// Samples of the propagation per sample of the source.
 const PROPAGATION_SAMPLES: u32 = 8;
 
+/// Part of the old map's variance below which that of the change is settled: more samples of it would not show.
+const SETTLED: f64 = 0.25;
+
+/// Samples per element of what somebody looks at, before the rest of the scene gets any.
+const FOCUS_SAMPLES: u32 = 32;
+
 /// Brings `map`, which is right for `transition.before`, up to date with `transition.after`. Progressive as
 /// [`crate::bake`] is; answering 0 to the first [`Observer::plan_round`] gives the old map in its new slots.
+///
+/// Where `target_rmse` is below what the old map's own noise allows, the update ends by refining ([`crate::refine`]).
+///
+/// With a `focus`, the elements that are looked at come first: snapshots hold new values there and old ones elsewhere,
+/// until the rest follows.
 pub fn update(
     transition: &Transition,
     map: &LightMap,
     budget: &Budget,
+    focus: Option<&Focus>,
     seed: u64,
     observer: &dyn Observer,
 ) -> Result<Arc<LightMap>, Canceled> {
@@ -43,20 +59,52 @@ pub fn update(
     let world = &transition.after;
     let updater = Updater::new(transition, map, &work);
     let seed = subseed(seed, 0xed17);
-    let areas = world.areas();
+    let first = focus.map(|f| updater.look_first(f, budget, subseed(seed, 0xf0c), &work)).transpose()?.flatten();
+    let extents = updater.extents(|_| true);
     let baker = OnceCell::new();
     let round = |r: &Round| {
         if baker.get().is_none() {
-            let (direct, indirect) = updater.round(r)?;
+            let (direct, indirect) = updater.round(r, &extents)?;
             if r.sum.samples() > 0 || !updater.outgrows_the_light(&direct, &indirect) {
                 return Ok((direct, indirect));
             }
         }
         baker.get_or_init(|| Baker::new(world, seed, &work)).round(r)
     };
-    let compose = |s: &Accumulator| baker.get().map_or_else(|| updater.compose(s), |b| b.compose(s));
-    let result = rounds::run(world.slots(), areas, budget, seed, &work, round, compose)?;
-    Ok(result.unwrap_or_else(|| Arc::new(transition.carry_over(map))))
+    let compose = |s: &Accumulator| match (baker.get(), &first) {
+        (Some(baker), _) => baker.compose(s),
+        (None, None) => updater.compose(s),
+        (None, Some(first)) => updater.merge(first, updater.compose(s), s.samples()),
+    };
+    let stated = |map: &LightMap| Some(map.estimated_rmse(world.areas()));
+    // What the old map brings along in noise no number of samples of the change takes away.
+    let mean = |variance: &[f32]| updater.mean(variance);
+    let carried = mean(&updater.old.variance);
+    let enough = |s: &Accumulator, _: &LightMap| {
+        budget.target_rmse.is_some() && s.knows_variance() && mean(&s.variance()) < SETTLED * carried
+    };
+    let result = rounds::run(world.slots(), budget, seed, &work, stated, enough, round, compose)?;
+    let result = match (&result, budget.target_rmse) {
+        (Some(map), Some(target)) if map.estimated_rmse(world.areas()) > target && baker.get().is_none() => {
+            refine_with(world, map, budget, seed, &work)?.or(result)
+        }
+        _ => result,
+    };
+    let seen = || first.as_ref().map(|f| Arc::clone(&f.map));
+    Ok(result.or_else(seen).unwrap_or_else(|| Arc::new(transition.carry_over(map))))
+}
+
+/// What was brought up to date first.
+struct First {
+    map: Arc<LightMap>,
+    is_seen: Vec<bool>,
+    samples: u32,
+}
+
+/// Where the parts of a round are estimated element by element.
+struct Extents {
+    direct: Extent,
+    source: Extent,
 }
 
 /// What all rounds of an update share.
@@ -106,21 +154,89 @@ impl<'a> Updater<'a> {
             old_total: total(&old),
             before_total: total(map),
             old,
-            static_rows,
             rows: Rows::all(&subset),
-            subset,
             source: source::Source::new(transition),
+            static_rows,
+            subset,
             direct: direct::DirectChange::new(transition),
             repaint,
         }
     }
 
+    /// Area-weighted mean over the rows that keep an old value.
+    fn mean(&self, values: &[f32]) -> f64 {
+        let area = |slot: u32| f64::from(self.world.areas()[slot as usize]);
+        let sum: f64 = self.static_rows.iter().map(|&slot| area(slot) * f64::from(values[slot as usize])).sum();
+        sum / self.static_rows.iter().map(|&slot| area(slot)).sum::<f64>().max(f64::MIN_POSITIVE)
+    }
+
+    /// Element by element where `is_wanted` says so, and S only near the edit; elsewhere on the subset.
+    fn extents(&self, is_wanted: impl Fn(u32) -> bool) -> Extents {
+        let is_near = self.source.is_near();
+        let slots = self.world.slots();
+        Extents {
+            direct: Extent::new(&self.static_rows, &self.subset, slots, &is_wanted),
+            source: Extent::new(&self.static_rows, &self.subset, slots, |slot| is_wanted(slot) && is_near(slot)),
+        }
+    }
+
+    /// Brings what is looked at up to date.
+    fn look_first(&self, focus: &Focus, budget: &Budget, seed: u64, work: &Work) -> Result<Option<First>, Canceled> {
+        let is_seen = focus.covers(self.world);
+        if !is_seen.iter().any(|seen| *seen) {
+            return Ok(None);
+        }
+        let extents = self.extents(|slot| is_seen[slot as usize]);
+        let samples = Cell::new(0);
+        let compose = |s: &Accumulator| {
+            samples.set(s.samples());
+            let (old, new) = (&self.old, self.compose(s));
+            let mut map = new.clone();
+            for &slot in self.static_rows.iter().filter(|&&slot| !is_seen[slot as usize]) {
+                let slot = slot as usize;
+                map.direct[slot] = old.direct[slot];
+                map.indirect[slot] = old.indirect[slot];
+                map.variance[slot] = old.variance[slot];
+            }
+            self.world.fill_invalid(&mut map);
+            map
+        };
+        let budget = Budget { samples_per_element: budget.samples_per_element.min(FOCUS_SAMPLES), target_rmse: None };
+        // The rest of the map is out of date: nothing can be stated about the whole.
+        let map = rounds::run(
+            self.world.slots(),
+            &budget,
+            seed,
+            work,
+            |_| None,
+            |_, _| false,
+            |r| self.round(r, &extents),
+            compose,
+        )?;
+        Ok(map.map(|map| First { map, is_seen, samples: samples.get() }))
+    }
+
+    /// The mean of what was done first and what followed, by samples.
+    fn merge(&self, first: &First, mut map: LightMap, samples: u32) -> LightMap {
+        let weight = first.samples as f32 / (first.samples + samples) as f32;
+        for &slot in self.static_rows.iter().filter(|&&slot| first.is_seen[slot as usize]) {
+            let slot = slot as usize;
+            map.direct[slot] = map.direct[slot].lerp(first.map.direct[slot], weight);
+            map.indirect[slot] = map.indirect[slot].lerp(first.map.indirect[slot], weight);
+            let old = self.old.variance[slot];
+            let (a, b) = (first.map.variance[slot] - old, map.variance[slot] - old);
+            map.variance[slot] = old + weight * weight * a + (1.0 - weight) * (1.0 - weight) * b;
+        }
+        self.world.fill_invalid(&mut map);
+        map
+    }
+
     /// One independent estimate: changes on static rows, values on new rows.
-    fn round(&self, round: &Round) -> Result<(Vec<Vec3>, Vec<Vec3>), Canceled> {
+    fn round(&self, round: &Round, extents: &Extents) -> Result<(Vec<Vec3>, Vec<Vec3>), Canceled> {
         let (world, work) = (self.world, self.work);
         (round.begin)(Pass::Direct, 0.0);
         let mut direct = vec![Vec3::ZERO; world.slots()];
-        self.direct.estimate(&self.static_rows, round.samples, round.seed, work, &mut direct)?;
+        self.direct.estimate(&extents.direct, &self.subset, round.samples, round.seed, work, &mut direct)?;
 
         (round.begin)(Pass::Object, 0.2);
         let mut indirect = vec![Vec3::ZERO; world.slots()];
@@ -134,7 +250,8 @@ impl<'a> Updater<'a> {
         }
         world.validity.fill(&mut guess);
         let maps = source::Maps { before: &self.before_total, after: &guess };
-        self.source.estimate(&self.static_rows, &maps, round, work, &mut direct, &mut indirect)?;
+        let extent = &extents.source;
+        self.source.estimate(extent, &self.subset, &maps, round, work, &mut direct, &mut indirect)?;
 
         (round.begin)(Pass::Propagation, 0.8);
         let bounces = self.propagate(&direct, &indirect, round)?;

@@ -5,16 +5,24 @@ use std::f32::consts::FRAC_1_PI;
 
 use glam::Vec3;
 
+use super::extent::Extent;
 use crate::bvh::{Bvh, Hit, Ray};
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::rounds::Round;
 use crate::sampling::{Mixture, Spheres};
+use crate::solve::Subset;
 use crate::transport::{Surfel, Work};
 use crate::world::{Transition, World};
 
 /// From this part of the hemisphere on an element gets all samples; less coverage, less to know.
 const FULL_COVERAGE: f32 = 0.15;
+
+/// Elements within this many spacings of the boxes around what changed are near (design, section 3.8 a).
+const NEAR_ZONE: f32 = 5.0;
+
+/// Samples of a representative of far elements per sample of a near element.
+const FAR_SAMPLES: u32 = 2;
 
 /// Light maps (direct + indirect) to look up, in the slots of their worlds.
 pub(super) struct Maps<'a> {
@@ -33,10 +41,23 @@ impl<'a> Source<'a> {
         Source { transition, spheres: Spheres::new(&transition.changed_triangles()) }
     }
 
-    /// Adds S to `indirect` and the change of visible sky to `direct`, for all `rows`.
+    /// Where S is not smooth: near the geometry that changed.
+    pub(super) fn is_near(&self) -> impl Fn(u32) -> bool {
+        let world = &self.transition.after;
+        let boxes = self.transition.changed_bounds();
+        let reach = NEAR_ZONE * world.spacing();
+        move |slot| {
+            let p = world.positions()[slot as usize];
+            boxes.iter().any(|(low, high)| (p.clamp(*low, *high) - p).length_squared() < reach * reach)
+        }
+    }
+
+    /// Adds S to `indirect` and the change of visible sky to `direct`, for all rows of `extent`.
+    #[expect(clippy::too_many_arguments, reason = "the state of one pass, named once")]
     pub(super) fn estimate(
         &self,
-        rows: &[u32],
+        extent: &Extent,
+        subset: &Subset,
         maps: &Maps,
         round: &Round,
         work: &Work,
@@ -46,7 +67,28 @@ impl<'a> Source<'a> {
         if !self.transition.moves_geometry() {
             return Ok(());
         }
-        let (seed, full) = (subseed(round.seed, 0x50c), round.samples as f32);
+        let seed = subseed(round.seed, 0x50c);
+        let (fine_sky, fine) = self.gather(&extent.fine, maps, round.samples, seed, work)?;
+        let samples = round.samples * FAR_SAMPLES;
+        let (far_sky, far) = self.gather(&extent.representatives, maps, samples, seed, work)?;
+        extent.add(subset, &fine, &far, indirect);
+        let (before, after) = (&self.transition.before.emitters, &self.transition.after.emitters);
+        if before.environment != Vec3::ZERO || after.environment != Vec3::ZERO {
+            extent.add(subset, &fine_sky, &far_sky, direct);
+        }
+        Ok(())
+    }
+
+    /// (change of visible sky, S) of some rows.
+    fn gather(
+        &self,
+        rows: &[u32],
+        maps: &Maps,
+        samples: u32,
+        seed: u64,
+        work: &Work,
+    ) -> Result<(Vec<Vec3>, Vec<Vec3>), Canceled> {
+        let full = samples as f32;
         let values = work.map(rows, |_, slot, rays| {
             let (point, n) = self.transition.after.ray_origin(slot as usize);
             let Some(mixture) = Mixture::new(&self.spheres, point, n) else { return (Vec3::ZERO, Vec3::ZERO) };
@@ -70,11 +112,7 @@ impl<'a> Source<'a> {
             }
             (sky / samples as f32, reflected / samples as f32)
         })?;
-        for (&slot, (sky, reflected)) in rows.iter().zip(values) {
-            direct[slot as usize] += sky;
-            indirect[slot as usize] += reflected;
-        }
-        Ok(())
+        Ok(values.into_iter().unzip())
     }
 
     /// Change of (sky radiance, reflected radiance) along a ray; none where both worlds look the same.

@@ -57,16 +57,26 @@ impl Transition {
 
     /// Corners of everything that came or went.
     pub(crate) fn changed_triangles(&self) -> Vec<[Vec3; 3]> {
-        let of = |placed: &Placed| build::corners_of(placed).0;
+        self.changed_objects().into_iter().flat_map(|p| build::corners_of(p).0).collect()
+    }
+
+    /// Boxes around every object that came or went, where it was and where it is.
+    pub(crate) fn changed_bounds(&self) -> Vec<(Vec3, Vec3)> {
+        self.changed_objects().into_iter().map(|p| p.surface.bounds()).collect()
+    }
+
+    fn changed_objects(&self) -> Vec<&Placed> {
         let same = |a: &Placed, b: &Placed| a.key == b.key && Arc::ptr_eq(&a.surface, &b.surface);
-        let only = |these: &[Arc<Placed>], those: &[Arc<Placed>]| -> Vec<[Vec3; 3]> {
+        let only = |these: &'_ [Arc<Placed>], those: &[Arc<Placed>]| -> Vec<usize> {
             let known: BTreeMap<u32, &Arc<Placed>> = those.iter().map(|p| (p.key, p)).collect();
-            let differs = |p: &&Arc<Placed>| !known.get(&p.key).is_some_and(|q| same(p, q));
-            these.iter().filter(differs).flat_map(|p| of(p)).collect()
+            let differs = |&i: &usize| {
+                !these[i].surface.triangles.is_empty() && !known.get(&these[i].key).is_some_and(|q| same(&these[i], q))
+            };
+            (0..these.len()).filter(differs).collect()
         };
-        let mut triangles = only(&self.before.placed, &self.after.placed);
-        triangles.extend(only(&self.after.placed, &self.before.placed));
-        triangles
+        let (before, after) = (&self.before.placed, &self.after.placed);
+        let gone = only(before, after).into_iter().map(|i| &*before[i]);
+        gone.chain(only(after, before).into_iter().map(|i| &*after[i])).collect()
     }
 
     /// Whether geometry changed (and not only light or albedo).

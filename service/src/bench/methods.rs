@@ -73,7 +73,7 @@ pub fn run_method(method: Method, case: &PreparedCase, base: &LightMap, seconds:
     match method {
         Method::PathTrace => return Some(trace_whole(case, seconds, samples, seed)),
         Method::Cached => drop(bake(&case.transition.after, &budget, seed, &clock)),
-        Method::Rebake => drop(update(&case.transition, base, &budget, seed, &clock)),
+        Method::Rebake => drop(update(&case.transition, base, &budget, None, seed, &clock)),
     }
     clock.last.into_inner().ok().flatten()
 }

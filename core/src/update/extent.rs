@@ -1,0 +1,43 @@
+//! Where a quantity is estimated element by element, and where it is interpolated from representatives.
+
+use glam::Vec3;
+
+use crate::solve::Subset;
+
+/// A division of some rows.
+pub(super) struct Extent {
+    /// Slots that are estimated themselves.
+    pub fine: Vec<u32>,
+    /// Slots whose values are interpolated.
+    pub spread: Vec<u32>,
+    /// Slots of the representatives among `spread`.
+    pub representatives: Vec<u32>,
+}
+
+impl Extent {
+    /// Divides `rows` (slots) of a world of `slots` slots.
+    pub(super) fn new(rows: &[u32], subset: &Subset, slots: usize, is_fine: impl Fn(u32) -> bool) -> Extent {
+        let (fine, spread): (Vec<u32>, Vec<u32>) = rows.iter().partition(|&&slot| is_fine(slot));
+        let mut representatives = Vec::new();
+        if !spread.is_empty() {
+            let mut is_spread = vec![false; slots];
+            spread.iter().for_each(|&slot| is_spread[slot as usize] = true);
+            representatives = subset.slots.iter().copied().filter(|&slot| is_spread[slot as usize]).collect();
+        }
+        Extent { fine, spread, representatives }
+    }
+
+    /// Adds values to all rows: those of `fine` and `representatives`, in that order.
+    pub(super) fn add(&self, subset: &Subset, fine: &[Vec3], representatives: &[Vec3], out: &mut [Vec3]) {
+        self.fine.iter().zip(fine).for_each(|(&slot, v)| out[slot as usize] += *v);
+        if self.spread.is_empty() {
+            return;
+        }
+        let mut known = vec![Vec3::ZERO; out.len()];
+        self.fine.iter().zip(fine).for_each(|(&slot, v)| known[slot as usize] = *v);
+        self.representatives.iter().zip(representatives).for_each(|(&slot, v)| known[slot as usize] = *v);
+        let values: Vec<Vec3> = subset.slots.iter().map(|&slot| known[slot as usize]).collect();
+        let field = subset.interpolate(&values);
+        self.spread.iter().for_each(|&slot| out[slot as usize] += field[slot as usize]);
+    }
+}
