@@ -3,6 +3,7 @@
 mod determinism;
 mod edits;
 mod enclosures;
+mod focus;
 mod hard_cases;
 mod plates;
 mod scenes;
