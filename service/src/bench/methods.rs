@@ -1,16 +1,16 @@
 //! The methods that are compared, each run for a number of seconds or samples.
 
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use rebake_core::path::path_trace;
-use rebake_core::{Budget, LightMap, Observer, Progress, Unobserved, bake, update};
+use rebake_core::{Budget, LightMap, Observer, Progress, Unobserved, World, bake, update};
 
 use super::PreparedCase;
 
-/// A way to get the light map after an edit.
+/// Which method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Method {
+pub enum MethodKind {
     /// From scratch, path by path.
     PathTrace,
     /// From scratch, by look-ups: [`rebake_core::bake`].
@@ -19,9 +19,25 @@ pub enum Method {
     Rebake,
 }
 
+/// A method with its settings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Method {
+    /// Which.
+    pub kind: MethodKind,
+}
+
+/// When a run ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Goal {
+    /// After about this many seconds, and never before its first round.
+    Seconds(f64),
+    /// After this many samples per element.
+    Samples(u32),
+}
+
 /// A light map and what it cost.
 pub struct Timed {
-    /// The result after the last round that fitted.
+    /// The result.
     pub map: Arc<LightMap>,
     /// Wall-clock seconds.
     pub seconds: f64,
@@ -33,21 +49,68 @@ pub struct Timed {
     pub estimated_rmse: Option<f32>,
 }
 
+impl MethodKind {
+    /// Its name on the command line and in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            MethodKind::PathTrace => "path-trace",
+            MethodKind::Cached => "cached",
+            MethodKind::Rebake => "rebake",
+        }
+    }
+}
+
+impl Goal {
+    /// Seconds that the run has; none where samples count.
+    pub fn seconds(self) -> Option<f64> {
+        match self {
+            Goal::Seconds(s) => Some(s),
+            Goal::Samples(_) => None,
+        }
+    }
+
+    /// For people.
+    pub fn describe(self) -> String {
+        match self {
+            Goal::Seconds(s) => format!("{s} s"),
+            Goal::Samples(n) => format!("{n} samples"),
+        }
+    }
+
+    fn samples(self) -> u32 {
+        match self {
+            Goal::Seconds(_) => 1 << 20,
+            Goal::Samples(n) => n,
+        }
+    }
+}
+
 /// Ends a run by the clock and keeps the last snapshot.
 struct Clock {
     start: Instant,
-    seconds: f64,
+    goal: Goal,
     last: Mutex<Option<Timed>>,
+}
+
+impl Clock {
+    fn start(goal: Goal) -> Clock {
+        Clock { start: Instant::now(), goal, last: Mutex::new(None) }
+    }
+
+    fn finish(self) -> Option<Timed> {
+        self.last.into_inner().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 impl Observer for Clock {
     fn plan_round(&self, so_far: &Progress, proposed: u32) -> u32 {
+        let Some(seconds) = self.goal.seconds() else { return proposed };
         let elapsed = self.start.elapsed().as_secs_f64();
         if so_far.samples_per_element == 0 {
             return proposed;
         }
         let per_sample = elapsed / f64::from(so_far.samples_per_element);
-        let affordable = ((self.seconds - elapsed) / per_sample).floor().max(0.0) as u32;
+        let affordable = ((seconds - elapsed) / per_sample).floor().max(0.0) as u32;
         // Rather stop than begin a round that is hardly worth its fixed costs.
         if affordable < so_far.samples_per_element / 4 { 0 } else { affordable.min(proposed) }
     }
@@ -60,38 +123,49 @@ impl Observer for Clock {
             rays: progress.rays,
             estimated_rmse: progress.estimated_rmse,
         };
-        if let Ok(mut last) = self.last.lock() {
-            *last = Some(timed);
-        }
+        *self.last.lock().unwrap_or_else(PoisonError::into_inner) = Some(timed);
     }
 }
 
-/// Runs a method for about `seconds` (at least its first round) or `samples`, whichever ends first.
-pub fn run_method(method: Method, case: &PreparedCase, base: &LightMap, seconds: f64, samples: u32, seed: u64) -> Option<Timed> {
-    let clock = Clock { start: Instant::now(), seconds, last: Mutex::new(None) };
-    let budget = Budget { samples_per_element: samples, target_rmse: None };
-    match method {
-        Method::PathTrace => return Some(trace_whole(case, seconds, samples, seed)),
-        Method::Cached => drop(bake(&case.transition.after, &budget, seed, &clock)),
-        Method::Rebake => drop(update(&case.transition, base, &budget, seed, &clock)),
+/// Runs a method on a prepared case; `base` is right for the world before the edit. None where the method cannot do
+/// the edit.
+pub fn run_method(method: Method, case: &PreparedCase, base: &LightMap, goal: Goal, seed: u64) -> Option<Timed> {
+    let clock = Clock::start(goal);
+    let budget = Budget { samples_per_element: goal.samples(), target_rmse: None };
+    match method.kind {
+        MethodKind::PathTrace => return Some(trace_whole(&case.after, goal, seed)),
+        // Nobody cancels: what is dropped is the map that the clock has, too.
+        MethodKind::Cached => drop(bake(&case.after, &budget, seed, &clock)),
+        MethodKind::Rebake => drop(update(&case.transition, base, &budget, seed, &clock)),
     }
-    clock.last.into_inner().ok().flatten()
+    clock.finish()
 }
 
-fn trace_whole(case: &PreparedCase, seconds: f64, samples: u32, seed: u64) -> Timed {
-    let world = &case.transition.after;
-    let slots: Vec<u32> = (0..world.slots() as u32).filter(|&i| world.areas()[i as usize] > 0.0).collect();
+/// Paths per element of one call: the tracer works in batches of so many.
+const BATCH: u32 = 16;
+
+fn trace_whole(world: &World, goal: Goal, seed: u64) -> Timed {
+    let slots: Vec<u32> =
+        (0..world.slots() as u32).filter(|&i| world.areas()[i as usize] > 0.0 && world.is_valid(i as usize)).collect();
     let start = Instant::now();
     let mut map = LightMap::black(world.slots());
     let (mut total, mut rays) = (0u32, 0);
-    while total < samples {
-        let elapsed = start.elapsed().as_secs_f64();
-        let affordable = if total == 0 { 16.0 } else { (seconds - elapsed) / (elapsed / f64::from(total)) };
-        let count = (affordable as u32 / 16 * 16).min(samples - total);
+    loop {
+        let count = match goal {
+            Goal::Samples(n) => n.next_multiple_of(BATCH) - total,
+            Goal::Seconds(_) if total == 0 => BATCH,
+            Goal::Seconds(s) => {
+                let elapsed = start.elapsed().as_secs_f64();
+                ((s - elapsed) / (elapsed / f64::from(total))) as u32 / BATCH * BATCH
+            }
+        };
         if count == 0 {
             break;
         }
-        let Ok((traced, r)) = path_trace(world, &slots, count, seed + u64::from(total), &Unobserved) else { break };
+        let Ok((traced, r)) = path_trace(world, &slots, count, seed.wrapping_add(u64::from(total) << 32), &Unobserved)
+        else {
+            break;
+        };
         rays += r;
         let weight = count as f32 / (total + count) as f32;
         for (&slot, t) in slots.iter().zip(&traced) {
