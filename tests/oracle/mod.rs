@@ -4,6 +4,7 @@ mod determinism;
 mod edits;
 mod enclosures;
 mod hard_cases;
+mod path;
 mod plates;
 mod scenes;
 mod statistics;

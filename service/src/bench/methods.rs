@@ -141,8 +141,8 @@ pub fn run_method(method: Method, case: &PreparedCase, base: &LightMap, goal: Go
     clock.finish()
 }
 
-/// Paths per element of one call: the tracer works in batches of so many.
-const BATCH: u32 = 16;
+/// Paths per element of the first call, which tells the speed.
+const FIRST_PATHS: u32 = 2;
 
 fn trace_whole(world: &World, goal: Goal, seed: u64) -> Timed {
     let slots: Vec<u32> =
@@ -152,11 +152,13 @@ fn trace_whole(world: &World, goal: Goal, seed: u64) -> Timed {
     let (mut total, mut rays) = (0u32, 0);
     loop {
         let count = match goal {
-            Goal::Samples(n) => n.next_multiple_of(BATCH) - total,
-            Goal::Seconds(_) if total == 0 => BATCH,
+            Goal::Samples(n) => n.saturating_sub(total),
+            Goal::Seconds(_) if total == 0 => FIRST_PATHS,
             Goal::Seconds(s) => {
                 let elapsed = start.elapsed().as_secs_f64();
-                ((s - elapsed) / (elapsed / f64::from(total))) as u32 / BATCH * BATCH
+                let affordable = ((s - elapsed) / (elapsed / f64::from(total))) as u32;
+                // The tracer takes whole batches where there are many paths.
+                if affordable > 16 { affordable / 16 * 16 } else { affordable }
             }
         };
         if count == 0 {
