@@ -97,8 +97,9 @@ fn a_near_lamp_is_as_bright_as_it_should_be() {
     ];
     let options = WorldOptions { spacing: Some(0.05), ..WorldOptions::default() };
     let world = World::new(Scene::from_objects(objects), &options).expect("two plates");
-    let middle = Vec3::new(0.5, 0.0, 0.5);
-    let found = replicate(8, |seed| traced(&world, seed, (middle, 0.2), |d, _| d));
+    // The sphere holds elements of the floor and none of the lamp.
+    let sphere = (Vec3::new(0.5, -0.4, 0.5), 0.415);
+    let found = replicate(8, |seed| traced(&world, seed, sphere, |d, _| d));
     // Of the hemisphere's projection the lamp leaves out less than (0.02 / 0.3)².
     assert_agrees("below a near lamp", found, 1.0, (0.02f64 / 0.3).powi(2));
     assert!(found.error < 2e-3, "noise of {}", found.error);
