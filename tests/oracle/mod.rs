@@ -4,6 +4,7 @@ mod determinism;
 mod edits;
 mod enclosures;
 mod hard_cases;
+mod paper;
 mod path;
 mod plates;
 mod scenes;

@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
+use rebake_core::paper::{Equation, PaperOptions, paper_update};
 use rebake_core::path::path_trace;
 use rebake_core::{Budget, LightMap, Observer, Progress, Unobserved, World, bake, update};
 
@@ -10,20 +11,22 @@ use super::PreparedCase;
 
 /// Which method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum MethodKind {
+pub enum Method {
     /// From scratch, path by path.
     PathTrace,
     /// From scratch, by look-ups: [`rebake_core::bake`].
     Cached,
+    /// Update of the old map as published: [`rebake_core::paper`].
+    Paper {
+        /// N.
+        iterations: u32,
+        /// M.
+        path_length: u32,
+        /// (3) or (4).
+        equation: Equation,
+    },
     /// Update of the old map: [`rebake_core::update`].
     Rebake,
-}
-
-/// A method with its settings.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Method {
-    /// Which.
-    pub kind: MethodKind,
 }
 
 /// When a run ends.
@@ -49,13 +52,14 @@ pub struct Timed {
     pub estimated_rmse: Option<f32>,
 }
 
-impl MethodKind {
+impl Method {
     /// Its name on the command line and in reports.
     pub fn name(self) -> &'static str {
         match self {
-            MethodKind::PathTrace => "path-trace",
-            MethodKind::Cached => "cached",
-            MethodKind::Rebake => "rebake",
+            Method::PathTrace => "path-trace",
+            Method::Cached => "cached",
+            Method::Paper { .. } => "paper",
+            Method::Rebake => "rebake",
         }
     }
 }
@@ -130,15 +134,46 @@ impl Observer for Clock {
 /// Runs a method on a prepared case; `base` is right for the world before the edit. None where the method cannot do
 /// the edit.
 pub fn run_method(method: Method, case: &PreparedCase, base: &LightMap, goal: Goal, seed: u64) -> Option<Timed> {
+    if let Method::Paper { iterations, path_length, equation } = method {
+        let options = PaperOptions { samples: 1, iterations, path_length, equation };
+        return update_as_published(case, base, options, goal, seed);
+    }
     let clock = Clock::start(goal);
     let budget = Budget { samples_per_element: goal.samples(), target_rmse: None };
-    match method.kind {
-        MethodKind::PathTrace => return Some(trace_whole(&case.after, goal, seed)),
+    match method {
+        Method::Paper { .. } => {}
+        Method::PathTrace => return Some(trace_whole(&case.after, goal, seed)),
         // Nobody cancels: what is dropped is the map that the clock has, too.
-        MethodKind::Cached => drop(bake(&case.after, &budget, seed, &clock)),
-        MethodKind::Rebake => drop(update(&case.transition, base, &budget, seed, &clock)),
+        Method::Cached => drop(bake(&case.after, &budget, seed, &clock)),
+        Method::Rebake => drop(update(&case.transition, base, &budget, seed, &clock)),
     }
     clock.finish()
+}
+
+/// The published method takes its number of samples beforehand: a first run, whose time does not count, tells how many
+/// fit.
+fn update_as_published(
+    case: &PreparedCase,
+    base: &LightMap,
+    options: PaperOptions,
+    goal: Goal,
+    seed: u64,
+) -> Option<Timed> {
+    let run = |samples: u32| {
+        let start = Instant::now();
+        let options = PaperOptions { samples, ..options };
+        let done = paper_update(&case.transition, base, &options, seed, &Unobserved).ok()?;
+        let seconds = start.elapsed().as_secs_f64();
+        Some(Timed { map: Arc::new(done.map), seconds, samples, rays: done.rays, estimated_rmse: None })
+    };
+    match goal {
+        Goal::Samples(n) => run(n),
+        Goal::Seconds(s) => {
+            let probe = run(2)?;
+            let samples = (2.0 * s / probe.seconds) as u32;
+            if samples == 2 { Some(probe) } else { run(samples.max(1)) }
+        }
+    }
 }
 
 /// Paths per element of the first call, which tells the speed.

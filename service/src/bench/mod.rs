@@ -8,8 +8,9 @@ mod report;
 mod run;
 
 pub use cases::{Case, CaseKind, EditFile, PreparedCase};
-pub use methods::{Goal, Method, MethodKind, Timed, run_method};
+pub use methods::{Goal, Method, Timed, run_method};
 pub use plot::svg;
+pub use rebake_core::paper::Equation;
 pub use reference::{Measured, Reference};
 pub use report::{BaseReport, CaseReport, ReferenceReport, Report, RunReport};
 pub use run::{Options, Watcher, run};

@@ -7,7 +7,7 @@ use rebake_core::scene::Scene;
 use rebake_core::{Budget, LightMap, Unobserved, World, WorldOptions, bake};
 
 use super::report::{BaseReport, CaseReport, ReferenceReport, Report, RunReport};
-use super::{Case, EditFile, Goal, Method, MethodKind, Mode, PreparedCase, Reference, Timed, run_method};
+use super::{Case, EditFile, Goal, Method, Mode, PreparedCase, Reference, Timed, run_method};
 
 /// What to run, and how long.
 #[derive(Clone, Debug)]
@@ -97,7 +97,7 @@ fn run_case(case: &PreparedCase, options: &Options, watcher: &mut dyn Watcher) -
         for &goal in &options.goals {
             let timed: Vec<Timed> = (0..options.seeds)
                 .filter_map(|k| {
-                    watcher.step(&case.name, &format!("{}, {}, run {}", method.kind.name(), goal.describe(), k + 1));
+                    watcher.step(&case.name, &format!("{}, {}, run {}", method.name(), goal.describe(), k + 1));
                     run_method(method, case, &base, goal, options.seed.wrapping_add(u64::from(k)))
                 })
                 .collect();
@@ -127,9 +127,13 @@ fn summarize(method: Method, goal: Goal, timed: &[Timed], reference: &Reference,
     let errors: Vec<_> = timed.iter().map(|t| reference.mean_square_error(&t.map, mode)).collect();
     let maps: Vec<&LightMap> = timed.iter().map(|t| &*t.map).collect();
     let stated: Option<Vec<f64>> = timed.iter().map(|t| t.estimated_rmse.map(f64::from)).collect();
+    let published = match method {
+        Method::Paper { iterations, path_length, .. } => Some((iterations, path_length)),
+        _ => None,
+    };
     let of = |f: &dyn Fn(&Timed) -> f64| median(timed.iter().map(f).collect());
     RunReport {
-        method: method.kind.name().to_owned(),
+        method: method.name().to_owned(),
         budget_seconds: goal.seconds(),
         seconds: of(&|t| t.seconds),
         samples_per_element: of(&|t| f64::from(t.samples)) as u32,
@@ -139,15 +143,15 @@ fn summarize(method: Method, goal: Goal, timed: &[Timed], reference: &Reference,
         bias_floor: reference.mean_square_bias(&maps, mode).map(|b| b.root()),
         estimated_rmse: stated.map(median),
         gain: None,
-        iterations: None,
-        path_length: None,
+        iterations: published.map(|p| p.0),
+        path_length: published.map(|p| p.1),
     }
 }
 
 /// RMSE over that of path tracing in the same time. Path tracing has no bias, so `rmse · √seconds` is a constant of
 /// the case, taken as the median over its runs.
 fn add_gains(runs: &mut [RunReport]) {
-    let traced = runs.iter().filter(|r| r.method == MethodKind::PathTrace.name() && r.rmse > 0.0);
+    let traced = runs.iter().filter(|r| r.method == Method::PathTrace.name() && r.rmse > 0.0);
     let constants: Vec<f64> = traced.map(|r| r.rmse * r.seconds.sqrt()).collect();
     if constants.is_empty() {
         return;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
 use indicatif::ProgressBar;
-use rebake::bench::{self, CaseReport, EditFile, Goal, Method, MethodKind, Options, Report, RunReport, Watcher};
+use rebake::bench::{self, CaseReport, EditFile, Equation, Goal, Method, Options, Report, RunReport, Watcher};
 use rebake_core::scene::{LoadLimits, load_glb};
 
 use super::exit::Interrupted;
@@ -25,7 +25,9 @@ reference's own noise is taken out. The bias floor is what independent runs of a
 report a plot of the same name is written, ending in .svg.
   rebake bench room.glb room.edits.json -o report.json
   rebake bench room.glb room.edits.json --cases sofa --mode indirect --budget-seconds 0.5,2,8 -o report.json
-  rebake bench room.glb room.edits.json --samples 4,16,64,256 -o sweep.json";
+  rebake bench room.glb room.edits.json --samples 4,16,64,256 -o sweep.json
+  rebake bench room.glb room.edits.json --methods paper --iterations 1,2,4,8 --samples 256 -o over-n.json
+  rebake bench room.glb room.edits.json --methods paper --path-length 0,1,2,3,4,5 --samples 256 -o over-m.json";
 
 /// Arguments of `rebake bench`.
 #[derive(Debug, clap::Args)]
@@ -48,8 +50,23 @@ pub(super) struct BenchArgs {
           value_parser = clap::value_parser!(u32).range(1..))]
     samples: Vec<u32>,
     /// What to run
-    #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum, default_value = "path-trace,cached,rebake")]
+    #[arg(
+        long,
+        value_name = "LIST",
+        value_delimiter = ',',
+        value_enum,
+        default_value = "path-trace,cached,paper,rebake"
+    )]
     methods: Vec<MethodName>,
+    /// For paper, N: applications of the object operator; several are run one after the other
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "4")]
+    iterations: Vec<u32>,
+    /// For paper, M: longest path in the scene without the object between two of them
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "3")]
+    path_length: Vec<u32>,
+    /// For paper: equation 3 (all light in one map) or 4 (indirect light, lights sampled)
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(3..=4))]
+    paper_equation: u32,
     /// Largest distance between neighbouring elements, metres [default: from the scene's size]
     #[arg(long, value_name = "METRES", value_parser = positive)]
     spacing: Option<f64>,
@@ -88,6 +105,8 @@ enum MethodName {
     PathTrace,
     /// From scratch, by look-ups
     Cached,
+    /// Update of the old light map by Lu et al. 2025, as published
+    Paper,
     /// Update of the old light map
     Rebake,
 }
@@ -127,13 +146,23 @@ impl BenchArgs {
         }
     }
 
+    /// `paper` once for every N and M that is asked for.
     fn methods(&self) -> Vec<Method> {
-        let kind = |name: &MethodName| match name {
-            MethodName::PathTrace => MethodKind::PathTrace,
-            MethodName::Cached => MethodKind::Cached,
-            MethodName::Rebake => MethodKind::Rebake,
+        let equation = match self.paper_equation {
+            3 => Equation::Full,
+            _ => Equation::Indirect,
         };
-        self.methods.iter().map(|name| Method { kind: kind(name) }).collect()
+        let published = self.iterations.iter().flat_map(|&iterations| {
+            self.path_length.iter().map(move |&path_length| Method::Paper { iterations, path_length, equation })
+        });
+        let published: Vec<Method> = published.collect();
+        let of = |name: &MethodName| match name {
+            MethodName::PathTrace => vec![Method::PathTrace],
+            MethodName::Cached => vec![Method::Cached],
+            MethodName::Paper => published.clone(),
+            MethodName::Rebake => vec![Method::Rebake],
+        };
+        self.methods.iter().flat_map(of).collect()
     }
 }
 
