@@ -137,44 +137,43 @@ fn results_do_not_depend_on_threads() {
     assert!(run(1) == run(3));
 }
 
-/// A room whose walls shine and reflect 0.8, so that light is 1 / (1 − 0.8) everywhere, and a black cube in it of 64 %
-/// of the walls' area: the spectral radius of `T_S* 𝒪` is 2.65, with M = 3 1.6 (design, section 1). Every further
-/// iteration makes the map worse; equation (1) converges.
+/// A black cube of 64 % of the walls' area in a room of albedo 0.8: the spectral radius of `T_S* 𝒪` is 2.65, with M = 3
+/// 1.6 (design, section 1). Every further iteration makes the map worse; equation (1) converges.
 #[test]
 fn large_black_objects_in_bright_rooms_make_it_diverge() {
-    let albedo = 0.8f32;
-    let walls = Material { emission: Vec3::ONE, ..Material::diffuse(Vec3::splat(albedo)) };
-    let furnace = Object::new("walls", Mesh::cuboid(Vec3::ZERO, Vec3::splat(2.0)).inside_out(), walls);
-    let before = world(vec![furnace], 0.2);
-    let slots = before.slots();
-    let indirect = Vec3::splat(albedo / (1.0 - albedo));
-    let exact =
-        LightMap { direct: vec![Vec3::ONE; slots], indirect: vec![indirect; slots], variance: vec![0.0; slots] };
+    let walls = Mesh::cuboid(Vec3::ZERO, Vec3::splat(2.0)).inside_out();
+    let mut objects = vec![Object::new("walls", walls, Material::diffuse(Vec3::splat(0.8)))];
+    // Lamps above the gaps between the cube and the walls.
+    for (k, (x, z)) in [(1.85, 0.95), (0.05, 0.95), (0.95, 1.85), (0.95, 0.05)].into_iter().enumerate() {
+        let lamp = Mesh::quad(Vec3::new(x, 1.95, z), Vec3::X * 0.1, Vec3::Z * 0.1);
+        objects.push(Object::new(format!("lamp {k}"), lamp, Material::emissive(Vec3::splat(50.0))));
+    }
+    let before = world(objects, 0.1);
+    let base = baked(&before, 256, 1);
     let cube = Mesh::cuboid(Vec3::new(-0.8, 0.2, -0.8), Vec3::new(0.8, 1.8, 0.8));
     let edit = insertion(Object::new("cube", cube, Material::diffuse(Vec3::ZERO)), 1.0, 1.0);
     let transition = before.apply(&[edit]).expect("a cube");
     let after = &transition.after;
-    let walls: Vec<u32> = (0..slots as u32).collect();
-    let (truth, _) = path_trace(after, &walls, 256, 3, &Unobserved).expect("nobody cancels");
+    let rows: Vec<u32> = (0..before.slots() as u32).filter(|&i| after.is_valid(i as usize)).step_by(5).collect();
+    let (truth, _) = path_trace(after, &rows, 256, 3, &Unobserved).expect("nobody cancels");
     let error = |map: &LightMap| {
         let (mut sum, mut size) = (0.0, 0.0);
-        for (&slot, t) in walls.iter().zip(&truth) {
+        for (&slot, t) in rows.iter().zip(&truth) {
             let area = f64::from(after.areas()[slot as usize]);
-            sum += area * f64::from((map.total(slot as usize) - t.direct - t.indirect).length_squared());
-            size += area * f64::from((t.direct + t.indirect).length_squared());
+            sum += area * f64::from((map.indirect[slot as usize] - t.indirect).length_squared());
+            size += area * f64::from(t.indirect.length_squared());
         }
         (sum / size).sqrt()
     };
     let at = |iterations| {
-        let options = PaperOptions { samples: 64, iterations, ..PaperOptions::default() };
-        error(&published(&transition, &exact, &options, 1))
+        let options = PaperOptions { samples: 32, iterations, ..PaperOptions::default() };
+        error(&published(&transition, &base, &options, 1))
     };
     let errors = [at(4), at(8), at(16)];
     let budget = Budget { samples_per_element: 64, target_rmse: None };
-    println!("bake {}", error(&baked(after, 64, 1)));
-    println!("mean truth {}", truth.iter().map(|t| (t.direct + t.indirect).x).sum::<f32>() / truth.len() as f32);
-    println!("no edit {}", error(&transition.carry_over(&exact)));
-    let ours = error(&update(&transition, &exact, &budget, 1, &Unobserved).expect("nobody cancels"));
+    let ours = error(&update(&transition, &base, &budget, 1, &Unobserved).expect("nobody cancels"));
+    let untouched = error(&transition.carry_over(&base));
     assert!(errors[0] > 1.0 && errors[1] > 3.0 * errors[0] && errors[2] > 9.0 * errors[1], "{errors:?}");
-    assert!(ours < 0.05, "{ours}, published {errors:?}");
+    // Light is left in gaps of two elements' width alone, where any map of elements is coarse.
+    assert!(ours < 0.15 * untouched, "{ours}, published {errors:?}, the old map {untouched}");
 }
