@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use glam::{DMat4, Vec3};
 use rebake_core::scene::{LightKind, LoadLimits, Scene, load_glb};
 use rebake_core::{Edit, Transition, World, WorldOptions};
@@ -71,9 +71,15 @@ impl EditFile {
     pub fn read(path: &Path) -> Result<EditFile> {
         let cannot = || format!("cannot read {}", path.display());
         let text = std::fs::read_to_string(path).with_context(cannot)?;
-        let mut json = serde_json::Deserializer::from_str(&text);
-        let file: EditFile = serde_path_to_error::deserialize(&mut json).with_context(cannot)?;
-        json.end().with_context(cannot)?;
+        EditFile::from_json(&text).with_context(cannot)
+    }
+
+    /// Cases from the text of a file. Errors name the field at fault.
+    pub fn from_json(text: &str) -> Result<EditFile> {
+        let mut json = serde_json::Deserializer::from_str(text);
+        let file: EditFile = serde_path_to_error::deserialize(&mut json)?;
+        json.end()?;
+        ensure!(!file.cases.is_empty(), "cases: is empty");
         Ok(file)
     }
 }

@@ -22,7 +22,7 @@ pub fn svg(report: &Report) -> String {
     let columns = report.cases.len().clamp(1, 3);
     let rows = report.cases.len().div_ceil(columns).max(1);
     let (cell_width, cell_height) = (LEFT + WIDTH + RIGHT, TOP + HEIGHT + BOTTOM);
-    let (width, height) = (cell_width * columns as f64, HEAD + cell_height * rows as f64);
+    let (width, height) = ((cell_width * columns as f64).max(760.0), HEAD + cell_height * rows as f64);
     let mut out = String::new();
     let _ = write!(
         out,

@@ -89,6 +89,9 @@ pub struct RunReport {
     /// Root mean square of what independent runs have in common: bias, that of the old map included. Absent for a
     /// single seed.
     pub bias_floor: Option<f64>,
+    /// Standard error of `bias_floor`: where that is below twice this, noise hides the bias.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bias_error: Option<f64>,
     /// What the method itself says about its error.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub estimated_rmse: Option<f64>,

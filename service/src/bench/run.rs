@@ -127,6 +127,7 @@ fn summarize(method: Method, goal: Goal, timed: &[Timed], reference: &Reference,
     let errors: Vec<_> = timed.iter().map(|t| reference.mean_square_error(&t.map, mode)).collect();
     let maps: Vec<&LightMap> = timed.iter().map(|t| &*t.map).collect();
     let stated: Option<Vec<f64>> = timed.iter().map(|t| t.estimated_rmse.map(f64::from)).collect();
+    let bias = reference.mean_square_bias(&maps, mode);
     let published = match method {
         Method::Paper { iterations, path_length, .. } => Some((iterations, path_length)),
         _ => None,
@@ -140,7 +141,8 @@ fn summarize(method: Method, goal: Goal, timed: &[Timed], reference: &Reference,
         rays: of(&|t| t.rays as f64) as u64,
         rmse: median(errors.iter().map(|e| e.root()).collect()),
         rmse_error: median(errors.iter().map(|e| e.root_error()).collect()),
-        bias_floor: reference.mean_square_bias(&maps, mode).map(|b| b.root()),
+        bias_floor: bias.map(|b| b.root()),
+        bias_error: bias.map(|b| b.root_error()),
         estimated_rmse: stated.map(median),
         gain: None,
         iterations: published.map(|p| p.0),

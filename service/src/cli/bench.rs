@@ -3,11 +3,12 @@
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, ensure};
+use anyhow::Context;
 use indicatif::ProgressBar;
 use rebake::bench::{self, CaseReport, EditFile, Equation, Goal, Method, Options, Report, RunReport, Watcher};
-use rebake_core::scene::{LoadLimits, load_glb};
+use rebake_core::scene::{LoadLimits, Scene, load_glb};
 
+use super::demo;
 use super::exit::Interrupted;
 use super::remote::Replacement;
 use super::ui;
@@ -23,6 +24,7 @@ Every method starts from the same scene, elements and trees; updates start from 
 Errors are RMSE of radiance / albedo, weighted by area, against path tracing of the scene after the edit; the \
 reference's own noise is taken out. The bias floor is what independent runs of a method have in common. Beside the \
 report a plot of the same name is written, ending in .svg.
+  rebake bench -o report.json
   rebake bench room.glb room.edits.json -o report.json
   rebake bench room.glb room.edits.json --cases sofa --mode indirect --budget-seconds 0.5,2,8 -o report.json
   rebake bench room.glb room.edits.json --samples 4,16,64,256 -o sweep.json
@@ -33,12 +35,12 @@ report a plot of the same name is written, ending in .svg.
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
 pub(super) struct BenchArgs {
-    /// Scene: a binary glTF file
-    #[arg(value_name = "SCENE.glb")]
-    scene: PathBuf,
+    /// Scene: a binary glTF file [default: the room of `rebake demo`]
+    #[arg(value_name = "SCENE.glb", requires = "edits")]
+    scene: Option<PathBuf>,
     /// Edit cases
     #[arg(value_name = "EDITS.json")]
-    edits: PathBuf,
+    edits: Option<PathBuf>,
     /// Report to write
     #[arg(short, long, value_name = "REPORT.json", value_parser = json_file)]
     output: PathBuf,
@@ -178,21 +180,43 @@ pub(super) async fn bench(args: BenchArgs) -> anyhow::Result<()> {
 }
 
 fn bench_file(args: &BenchArgs) -> anyhow::Result<()> {
-    let file = EditFile::read(&args.edits)?;
-    ensure!(!file.cases.is_empty(), "{}: cases: is empty", args.edits.display());
-    let cannot = || format!("cannot load {}", args.scene.display());
-    let glb = std::fs::read(&args.scene).with_context(cannot)?;
-    let scene = load_glb(&glb, &LoadLimits::default()).with_context(cannot)?;
-    scene.warnings.iter().for_each(|warning| ui::note(&format!("warning: {warning}")));
+    let mut options = args.options();
+    let (name, scene, file, folder) = match (&args.scene, &args.edits) {
+        (Some(scene), Some(edits)) => {
+            let folder = edits.parent().unwrap_or(Path::new("."));
+            let name = scene.file_name().map_or_else(|| "scene".into(), |n| n.to_string_lossy());
+            (name, load_scene(scene)?, EditFile::read(edits)?, folder)
+        }
+        _ => {
+            let (scene, spacing) = demo::bench_scene();
+            options.spacing.get_or_insert(spacing);
+            ("the demo's room".into(), scene, EditFile::from_json(DEMO_CASES)?, Path::new("."))
+        }
+    };
     // A place that cannot be written is better known before the bench than after it.
     drop(Replacement::begin(&args.output)?);
-    let folder = args.edits.parent().unwrap_or(Path::new("."));
-    let name = args.scene.file_name().map_or_else(|| "scene".into(), |n| n.to_string_lossy());
     let mut screen = Screen { output: args.output.clone(), spinner: ui::spinner("bench") };
-    let report = bench::run(&name, &scene, &file, folder, &args.options(), &mut screen)
-        .with_context(|| args.edits.display().to_string());
+    let report = bench::run(&name, &scene, &file, folder, &options, &mut screen);
     screen.spinner.finish_and_clear();
-    report.map(drop)
+    let source = args.edits.as_ref().map_or_else(|| name.to_string(), |edits| edits.display().to_string());
+    report.context(source).map(drop)
+}
+
+/// Edits of the demo's room.
+const DEMO_CASES: &str = r#"{"scene": "", "cases": [
+    {"name": "+ chair", "edit": "insert", "objects": ["chair"]},
+    {"name": "- chair", "edit": "remove", "objects": ["chair"]},
+    {"name": "- sofa", "edit": "remove", "objects": ["sofa"]},
+    {"name": "+ cupboard", "edit": "insert", "objects": ["cupboard"]},
+    {"name": "dark sofa", "edit": "material", "objects": ["sofa"], "albedo": [0.05, 0.05, 0.06]}
+]}"#;
+
+fn load_scene(path: &Path) -> anyhow::Result<Scene> {
+    let cannot = || format!("cannot load {}", path.display());
+    let glb = std::fs::read(path).with_context(cannot)?;
+    let scene = load_glb(&glb, &LoadLimits::default()).with_context(cannot)?;
+    scene.warnings.iter().for_each(|warning| ui::note(&format!("warning: {warning}")));
+    Ok(scene)
 }
 
 /// Shows what runs, prints and saves what is done.
@@ -264,12 +288,21 @@ fn print_case(case: &CaseReport) -> anyhow::Result<()> {
             ui::short(run.rays as f64),
             ui::rmse(run.rmse),
             ui::rmse(run.rmse_error),
-            value(run.bias_floor),
+            bias(run),
             value(run.estimated_rmse),
             gain(run),
         ]))?;
     }
     Ok(())
+}
+
+/// Bias, or what it is below where noise hides it.
+fn bias(run: &RunReport) -> String {
+    match (run.bias_floor, run.bias_error) {
+        (Some(floor), Some(error)) if floor > 2.0 * error => ui::rmse(floor),
+        (Some(floor), Some(error)) => format!("<{}", ui::rmse(floor + 2.0 * error)),
+        _ => "–".to_owned(),
+    }
 }
 
 /// RMSE of path tracing in the same time over this one.
