@@ -76,7 +76,7 @@ pub(super) struct BenchArgs {
     #[arg(long, value_enum, default_value_t = Mode::Full)]
     mode: Mode,
     /// Run only cases whose name has this in it
-    #[arg(long, value_name = "PART")]
+    #[arg(long, value_name = "PART", allow_hyphen_values = true)]
     cases: Option<String>,
     /// Paths per element of the reference
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(2..))]

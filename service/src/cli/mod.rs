@@ -134,7 +134,7 @@ mod tests {
             "rebake serve --listen 127.0.0.1:0 --threads 2",
             "rebake demo --exit",
             "rebake bake room.glb -o room.exr --spacing 0.1 --samples 256 --mode indirect --environment 1,1,1",
-            "rebake bench room.glb e.json -o r.json --budget-seconds 0.5,2 --methods path-trace,rebake --cases sofa",
+            "rebake bench room.glb e.json -o r.json --budget-seconds 0.5,2 --methods path-trace,rebake --cases -sofa",
             "rebake bench -o r.json --methods paper --iterations 1,2,4 --path-length 3 --paper-equation 3",
             "rebake bench room.glb e.json -o r.json --samples 4,16 --mode indirect --seeds 1 --threads 2 --spacing 0.1",
             "rebake push room.glb --server http://h:1 --name room --spacing 0.05 --wait",
