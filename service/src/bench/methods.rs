@@ -44,6 +44,8 @@ pub struct Timed {
     pub map: Arc<LightMap>,
     /// Wall-clock seconds.
     pub seconds: f64,
+    /// Seconds of all processors, where the system tells: on a machine that has other work, too, the fairer measure.
+    pub cpu_seconds: Option<f64>,
     /// Samples per element.
     pub samples: u32,
     /// Rays traced.
@@ -89,16 +91,50 @@ impl Goal {
     }
 }
 
+/// Time since a start, on the wall and on the processors.
+struct Stopwatch {
+    start: Instant,
+    cpu: Option<f64>,
+}
+
+impl Stopwatch {
+    fn start() -> Stopwatch {
+        Stopwatch { start: Instant::now(), cpu: process_cpu_seconds() }
+    }
+
+    fn seconds(&self) -> f64 {
+        self.start.elapsed().as_secs_f64()
+    }
+
+    fn cpu_seconds(&self) -> Option<f64> {
+        Some(process_cpu_seconds()? - self.cpu?)
+    }
+
+    fn stop(&self, map: LightMap, samples: u32, rays: u64) -> Timed {
+        let (seconds, cpu_seconds) = (self.seconds(), self.cpu_seconds());
+        Timed { map: Arc::new(map), seconds, cpu_seconds, samples, rays, estimated_rmse: None }
+    }
+}
+
+/// What this process has used of the processors so far: Linux tells in hundredths of a second.
+fn process_cpu_seconds() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/self/stat").ok()?;
+    // Behind the name, which may hold anything: user and system time are the 12th and 13th field.
+    let mut fields = text.rsplit_once(')')?.1.split_whitespace().skip(11);
+    let mut ticks = || fields.next()?.parse::<f64>().ok();
+    Some((ticks()? + ticks()?) / 100.0)
+}
+
 /// Ends a run by the clock and keeps the last snapshot.
 struct Clock {
-    start: Instant,
+    start: Stopwatch,
     goal: Goal,
     last: Mutex<Option<Timed>>,
 }
 
 impl Clock {
     fn start(goal: Goal) -> Clock {
-        Clock { start: Instant::now(), goal, last: Mutex::new(None) }
+        Clock { start: Stopwatch::start(), goal, last: Mutex::new(None) }
     }
 
     fn finish(self) -> Option<Timed> {
@@ -109,7 +145,7 @@ impl Clock {
 impl Observer for Clock {
     fn plan_round(&self, so_far: &Progress, proposed: u32) -> u32 {
         let Some(seconds) = self.goal.seconds() else { return proposed };
-        let elapsed = self.start.elapsed().as_secs_f64();
+        let elapsed = self.start.seconds();
         if so_far.samples_per_element == 0 {
             return proposed;
         }
@@ -122,7 +158,8 @@ impl Observer for Clock {
     fn snapshot(&self, map: &Arc<LightMap>, progress: &Progress) {
         let timed = Timed {
             map: Arc::clone(map),
-            seconds: self.start.elapsed().as_secs_f64(),
+            seconds: self.start.seconds(),
+            cpu_seconds: self.start.cpu_seconds(),
             samples: progress.samples_per_element,
             rays: progress.rays,
             estimated_rmse: progress.estimated_rmse,
@@ -160,11 +197,10 @@ fn update_as_published(
     seed: u64,
 ) -> Option<Timed> {
     let run = |samples: u32| {
-        let start = Instant::now();
+        let watch = Stopwatch::start();
         let options = PaperOptions { samples, ..options };
         let done = paper_update(&case.transition, base, &options, seed, &Unobserved).ok()?;
-        let seconds = start.elapsed().as_secs_f64();
-        Some(Timed { map: Arc::new(done.map), seconds, samples, rays: done.rays, estimated_rmse: None })
+        Some(watch.stop(done.map, samples, done.rays))
     };
     match goal {
         Goal::Samples(n) => run(n),
@@ -182,7 +218,7 @@ const FIRST_PATHS: u32 = 2;
 fn trace_whole(world: &World, goal: Goal, seed: u64) -> Timed {
     let slots: Vec<u32> =
         (0..world.slots() as u32).filter(|&i| world.areas()[i as usize] > 0.0 && world.is_valid(i as usize)).collect();
-    let start = Instant::now();
+    let watch = Stopwatch::start();
     let mut map = LightMap::black(world.slots());
     let (mut total, mut rays) = (0u32, 0);
     loop {
@@ -190,7 +226,7 @@ fn trace_whole(world: &World, goal: Goal, seed: u64) -> Timed {
             Goal::Samples(n) => n.saturating_sub(total),
             Goal::Seconds(_) if total == 0 => FIRST_PATHS,
             Goal::Seconds(s) => {
-                let elapsed = start.elapsed().as_secs_f64();
+                let elapsed = watch.seconds();
                 let affordable = ((s - elapsed) / (elapsed / f64::from(total))) as u32;
                 // The tracer takes whole batches where there are many paths.
                 if affordable > 16 { affordable / 16 * 16 } else { affordable }
@@ -212,5 +248,5 @@ fn trace_whole(world: &World, goal: Goal, seed: u64) -> Timed {
         }
         total += count;
     }
-    Timed { map: Arc::new(map), seconds: start.elapsed().as_secs_f64(), samples: total, rays, estimated_rmse: None }
+    watch.stop(map, total, rays)
 }

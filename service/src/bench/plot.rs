@@ -198,7 +198,7 @@ fn mark(out: &mut String, k: usize, x: f64, y: f64) {
 
 /// As short as it is exact: 0.002, 0.5, 20.
 fn number(v: f64) -> String {
-    if v >= 1e4 || v < 1e-4 { format!("{v:.0e}") } else { format!("{}", (v * 1e6).round() / 1e6) }
+    if !(1e-4..1e4).contains(&v) { format!("{v:.0e}") } else { format!("{}", (v * 1e6).round() / 1e6) }
 }
 
 fn escape(text: &str) -> String {

@@ -78,6 +78,9 @@ pub struct RunReport {
     pub budget_seconds: Option<f64>,
     /// Seconds it took.
     pub seconds: f64,
+    /// Seconds of all processors that it took, where the system tells.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cpu_seconds: Option<f64>,
     /// Samples per element of the last full pass.
     pub samples_per_element: u32,
     /// Rays traced.
@@ -98,6 +101,9 @@ pub struct RunReport {
     /// RMSE of path tracing in the same time over this one: path tracing's error falls with the root of time.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gain: Option<f64>,
+    /// The same for equal time of the processors: what counts where other work shares them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gain_cpu: Option<f64>,
     /// For `paper`: N.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<u32>,

@@ -132,11 +132,13 @@ fn summarize(method: Method, goal: Goal, timed: &[Timed], reference: &Reference,
         Method::Paper { iterations, path_length, .. } => Some((iterations, path_length)),
         _ => None,
     };
+    let cpu: Option<Vec<f64>> = timed.iter().map(|t| t.cpu_seconds).collect();
     let of = |f: &dyn Fn(&Timed) -> f64| median(timed.iter().map(f).collect());
     RunReport {
         method: method.name().to_owned(),
         budget_seconds: goal.seconds(),
         seconds: of(&|t| t.seconds),
+        cpu_seconds: cpu.map(median),
         samples_per_element: of(&|t| f64::from(t.samples)) as u32,
         rays: of(&|t| t.rays as f64) as u64,
         rmse: median(errors.iter().map(|e| e.root()).collect()),
@@ -145,27 +147,65 @@ fn summarize(method: Method, goal: Goal, timed: &[Timed], reference: &Reference,
         bias_error: bias.map(|b| b.root_error()),
         estimated_rmse: stated.map(median),
         gain: None,
+        gain_cpu: None,
         iterations: published.map(|p| p.0),
         path_length: published.map(|p| p.1),
     }
 }
 
-/// RMSE over that of path tracing in the same time. Path tracing has no bias, so `rmse · √seconds` is a constant of
-/// the case, taken as the median over its runs.
+/// RMSE of path tracing in the same time over that of each run.
 fn add_gains(runs: &mut [RunReport]) {
-    let traced = runs.iter().filter(|r| r.method == Method::PathTrace.name() && r.rmse > 0.0);
-    let constants: Vec<f64> = traced.map(|r| r.rmse * r.seconds.sqrt()).collect();
-    if constants.is_empty() {
-        return;
+    let gains = gains(runs, |run| Some(run.seconds));
+    let of_cpu = self::gains(runs, |run| run.cpu_seconds);
+    for ((run, gain), gain_cpu) in runs.iter_mut().zip(gains).zip(of_cpu) {
+        (run.gain, run.gain_cpu) = (gain, gain_cpu);
     }
-    let constant = median(constants);
-    for run in runs.iter_mut().filter(|r| r.rmse > 0.0) {
-        run.gain = Some(constant / run.seconds.sqrt() / run.rmse);
-    }
+}
+
+/// Path tracing has no bias, so that `rmse · √seconds` is a constant of the case, taken as the median over its runs.
+fn gains(runs: &[RunReport], seconds: impl Fn(&RunReport) -> Option<f64>) -> Vec<Option<f64>> {
+    let product = |run: &RunReport| Some(run.rmse * seconds(run)?.sqrt()).filter(|p| *p > 0.0);
+    let traced = runs.iter().filter(|r| r.method == Method::PathTrace.name());
+    let constants: Vec<f64> = traced.filter_map(product).collect();
+    let constant = (!constants.is_empty()).then(|| median(constants));
+    runs.iter().map(|run| Some(constant? / product(run)?)).collect()
 }
 
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let n = values.len();
     if n == 0 { f64::NAN } else { 0.5 * (values[(n - 1) / 2] + values[n / 2]) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gains_are_relative_to_path_tracing_at_equal_time() {
+        let run = |method: &str, seconds: f64, rmse: f64| RunReport {
+            method: method.to_owned(),
+            budget_seconds: None,
+            seconds,
+            cpu_seconds: None,
+            samples_per_element: 1,
+            rays: 1,
+            rmse,
+            rmse_error: 0.0,
+            bias_floor: None,
+            bias_error: None,
+            estimated_rmse: None,
+            gain: None,
+            gain_cpu: None,
+            iterations: None,
+            path_length: None,
+        };
+        // Path tracing has 0.2 after 1 s and so 0.1 after 4 s.
+        let mut runs = [run("path-trace", 1.0, 0.2), run("rebake", 4.0, 0.01), run("paper", 1.0, 0.0)];
+        add_gains(&mut runs);
+        let gain = runs[1].gain.expect("a gain");
+        assert!((gain - 10.0).abs() < 1e-9, "{gain}");
+        assert!(runs[2].gain.is_none() && runs[1].gain_cpu.is_none());
+        assert_eq!([median(vec![3.0, 1.0, 2.0]), median(vec![4.0, 1.0])], [2.0, 2.5]);
+    }
 }

@@ -264,17 +264,18 @@ fn print_head(report: &Report) -> anyhow::Result<()> {
     ))
 }
 
-const HEADINGS: [&str; 9] = ["method", "time", "samples", "rays", "RMSE", "±", "bias", "stated", "gain"];
+const HEADINGS: [&str; 11] =
+    ["method", "time", "CPU", "samples", "rays", "RMSE", "±", "bias", "stated", "gain", "by CPU"];
 
 fn print_case(case: &CaseReport) -> anyhow::Result<()> {
-    let widths: Vec<usize> = [20, 7, 7, 7, 7, 7, 7, 7, 7].to_vec();
+    let widths: Vec<usize> = [18, 7, 7, 7, 7, 7, 7, 7, 7, 6, 6].to_vec();
     let table = ui::Table::new(&HEADINGS, &widths);
     ui::out("")?;
     let edited = format!("{:.1} % of the area", 100.0 * case.edited_share);
     ui::out(&format!("{}, {edited}, {} elements", ui::bold(&case.name), ui::count(case.elements as u64)))?;
     ui::out(&ui::faint(&table.row(&HEADINGS)))?;
     let value = |x: Option<f64>| x.map_or_else(|| "–".to_owned(), ui::rmse);
-    let line = |name: &str, rmse: f64| table.row(&[name, "", "", "", &ui::rmse(rmse)]);
+    let line = |name: &str, rmse: f64| table.row(&[name, "", "", "", "", &ui::rmse(rmse)]);
     ui::out(&line("no update", case.no_update_rmse))?;
     if let Some(rmse) = case.base.rmse {
         ui::out(&line("before the edit", rmse))?;
@@ -284,13 +285,15 @@ fn print_case(case: &CaseReport) -> anyhow::Result<()> {
         ui::out(&table.row(&[
             run.label(),
             ui::seconds(run.seconds),
+            run.cpu_seconds.map_or_else(|| "–".to_owned(), ui::seconds),
             run.samples_per_element.to_string(),
             ui::short(run.rays as f64),
             ui::rmse(run.rmse),
             ui::rmse(run.rmse_error),
             bias(run),
             value(run.estimated_rmse),
-            gain(run),
+            gain(run.gain),
+            gain(run.gain_cpu),
         ]))?;
     }
     Ok(())
@@ -306,6 +309,6 @@ fn bias(run: &RunReport) -> String {
 }
 
 /// RMSE of path tracing in the same time over this one.
-fn gain(run: &RunReport) -> String {
-    run.gain.map_or_else(|| "–".to_owned(), |g| if g < 9.95 { format!("{g:.1}×") } else { format!("{g:.0}×") })
+fn gain(gain: Option<f64>) -> String {
+    gain.map_or_else(|| "–".to_owned(), |g| if g < 9.95 { format!("{g:.1}×") } else { format!("{g:.0}×") })
 }
