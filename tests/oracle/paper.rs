@@ -35,7 +35,7 @@ fn check(name: &str, before: &World, edit: Edit, near: Vec3, options: &PaperOpti
     let after = &transition.after;
     let truth: Vec<_> = (0..4).map(|seed| baked(after, 128, 900 + seed)).collect();
     let found: Vec<LightMap> =
-        (0..8).map(|seed| published(&transition, &baked(before, 64, 50 + seed), options, seed)).collect();
+        (0..6).map(|seed| published(&transition, &baked(before, 48, 50 + seed), options, seed)).collect();
     type Part = (&'static str, fn(&LightMap, usize) -> Vec3);
     let apart: [Part; 2] = [("direct", |m, i| m.direct[i]), ("indirect", |m, i| m.indirect[i])];
     let together: [Part; 1] = [("all light", |m, i| m.total(i))];

@@ -85,7 +85,7 @@ pub(super) struct BenchArgs {
     #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(16..))]
     reference_elements: u32,
     /// Samples per element of the light map before the edit
-    #[arg(long, value_name = "N", default_value_t = 512, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..))]
     base_samples: u32,
     /// Measure the light map before the edit, too: its error is in all updates
     #[arg(long)]
