@@ -12,6 +12,7 @@ pub mod export;
 mod focus;
 pub mod job;
 pub mod lightmap;
+pub mod paper;
 pub mod path;
 pub mod random;
 mod refine;

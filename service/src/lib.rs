@@ -5,6 +5,7 @@
 //! Nothing but `server` and `api` knows HTTP, and no light is computed on an async thread.
 
 pub mod api;
+pub mod bench;
 pub mod client;
 mod compute;
 pub mod config;

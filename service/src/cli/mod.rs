@@ -1,6 +1,7 @@
 //! The command line. Results go to standard output, everything else to standard error.
 
 mod bake;
+mod bench;
 mod demo;
 mod exit;
 mod remote;
@@ -52,6 +53,8 @@ enum Command {
     Demo(demo::DemoArgs),
     /// Bake the light map of a scene file, without a service
     Bake(bake::BakeArgs),
+    /// Measure speed against error of updates and of bakes from scratch, side by side
+    Bench(bench::BenchArgs),
     /// Upload a scene and bake it
     Push(remote::PushArgs),
     /// Change a scene: insert, remove, move or repaint objects, change lights
@@ -90,6 +93,7 @@ pub(crate) fn run() -> ExitCode {
             Command::Serve(args) => serve::serve(args).await,
             Command::Demo(args) => demo::demo(args).await,
             Command::Bake(args) => bake::bake(args).await,
+            Command::Bench(args) => bench::bench(args).await,
             Command::Push(args) => remote::push(args).await,
             Command::Edit(args) => remote::edit(&args).await,
             Command::Watch(args) => remote::watch(args).await,
@@ -130,6 +134,9 @@ mod tests {
             "rebake serve --listen 127.0.0.1:0 --threads 2",
             "rebake demo --exit",
             "rebake bake room.glb -o room.exr --spacing 0.1 --samples 256 --mode indirect --environment 1,1,1",
+            "rebake bench room.glb e.json -o r.json --budget-seconds 0.5,2 --methods path-trace,rebake --cases -sofa",
+            "rebake bench -o r.json --methods paper --iterations 1,2,4 --path-length 3 --paper-equation 3",
+            "rebake bench room.glb e.json -o r.json --samples 4,16 --mode indirect --seeds 1 --threads 2 --spacing 0.1",
             "rebake push room.glb --server http://h:1 --name room --spacing 0.05 --wait",
             "rebake edit s1 --json -",
             "rebake edit s1 --wait insert chair.glb --at 1,0,2 --rotate-y 90",
@@ -160,6 +167,11 @@ mod tests {
             "rebake bake room.glb -o room.exr --spacing -1",
             "rebake bake room.glb -o room.exr --samples 0",
             "rebake bake room.glb -o room.exr --mode half",
+            "rebake bench room.glb -o r.json",
+            "rebake bench room.glb e.json -o r.svg",
+            "rebake bench room.glb e.json -o r.json --methods magic",
+            "rebake bench room.glb e.json -o r.json --budget-seconds 1,0",
+            "rebake bench room.glb e.json -o r.json --budget-seconds 1 --samples 4",
             "rebake push room.glb --environment 1,2",
             "rebake push room.glb --spacing nan",
             "rebake edit s1",

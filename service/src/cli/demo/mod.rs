@@ -36,6 +36,13 @@ const HEADINGS: [&str; 9] =
     ["step", "elements", "rays", "first light", "done", "stated error", "error", "path tracing", "ratio"];
 const WIDTHS: [usize; 9] = [12, 8, 7, 11, 7, 12, 16, 12, 7];
 
+/// The room with its chair, and its spacing: what `rebake bench` measures without a file.
+pub(super) fn bench_scene() -> (rebake_core::scene::Scene, f32) {
+    let mut scene = room::room();
+    scene.objects.extend(room::chair().objects.into_iter().map(|chair| chair.placed(room::chair_place())));
+    (scene, room::SPACING)
+}
+
 /// Arguments of `rebake demo`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
