@@ -13,6 +13,7 @@ pub mod job;
 pub mod lightmap;
 pub mod path;
 pub mod random;
+pub mod render;
 mod rounds;
 pub mod sampling;
 pub mod scene;
