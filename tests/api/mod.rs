@@ -9,6 +9,7 @@ mod glb;
 mod jobs;
 mod lightmap;
 mod openapi;
+mod render;
 mod scenes;
 mod server;
 mod shutdown;

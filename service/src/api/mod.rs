@@ -16,6 +16,7 @@ mod lightmap;
 mod openapi;
 mod paging;
 pub mod problem;
+mod render;
 mod scenes;
 mod trace;
 pub mod types;
@@ -47,7 +48,7 @@ pub(crate) fn router(app: Arc<App>) -> Router {
         .route("/v1/scenes/{scene}/lightmap", get(lightmap::get))
         .route("/v1/scenes/{scene}/lightmap/deltas", get(deltas::get))
         .route("/v1/scenes/{scene}/elements", get(elements::get))
-        .route("/v1/scenes/{scene}/render", get(health::not_implemented))
+        .route("/v1/scenes/{scene}/render", get(render::get))
         .route("/v1/assets", post(assets::create))
         .route("/v1/jobs", get(jobs::list))
         .route("/v1/jobs/{job}", get(jobs::get).delete(jobs::cancel))
