@@ -1,0 +1,67 @@
+//! The demo's pictures: the room before and after its edits, what changed, and how sure the service is.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use rebake::client::Client;
+
+/// Shape of all pictures: half a page across, sharp on small screens.
+const SIZE: (u32, u32) = (800, 450);
+/// Enough that soft shadows show no grain.
+const SAMPLES: u32 = 256;
+
+/// Asks the service for pictures of one scene. The first picture's exposure is that of all, so that they compare.
+pub(super) struct Pictures {
+    dir: PathBuf,
+    exposure: Option<String>,
+    /// Version of the first picture: what changes are shown against.
+    first_version: Option<String>,
+}
+
+impl Pictures {
+    pub(super) fn new(dir: &Path) -> anyhow::Result<Pictures> {
+        std::fs::create_dir_all(dir).with_context(|| format!("cannot create {}", dir.display()))?;
+        Ok(Pictures { dir: dir.to_owned(), exposure: None, first_version: None })
+    }
+
+    /// Saves the scene as it is lit now.
+    pub(super) async fn light(&mut self, client: &Client, scene: &str, name: &str) -> anyhow::Result<()> {
+        let exposure = self.exposure.clone().map(|stops| ("exposure", stops));
+        let response = self.draw(client, scene, name, exposure).await?;
+        self.exposure.get_or_insert(response.0);
+        self.first_version.get_or_insert(response.1);
+        Ok(())
+    }
+
+    /// Saves the change since the first picture, and the stated error.
+    pub(super) async fn change_and_error(&self, client: &Client, scene: &str) -> anyhow::Result<()> {
+        let since = self.first_version.clone().context("there is no picture to show a change against")?;
+        let change = [("view", "change".to_owned()), ("since", since)];
+        self.draw(client, scene, "room-change.png", change).await?;
+        self.draw(client, scene, "room-error.png", [("view", "error".to_owned())]).await?;
+        Ok(())
+    }
+
+    /// Saves one picture; answers exposure and version.
+    async fn draw(
+        &self,
+        client: &Client,
+        scene: &str,
+        name: &str,
+        extra: impl IntoIterator<Item = (&'static str, String)>,
+    ) -> anyhow::Result<(String, String)> {
+        let numbers = [("width", SIZE.0), ("height", SIZE.1), ("spp", SAMPLES)];
+        let mut query: Vec<_> = numbers.into_iter().map(|(name, number)| (name, number.to_string())).collect();
+        query.extend(extra);
+        let response = client.render(scene, &query).await?;
+        let header = |name: &str| {
+            let value = response.headers().get(name).and_then(|value| value.to_str().ok());
+            value.unwrap_or_default().to_owned()
+        };
+        let told = (header("x-rebake-exposure"), header("x-rebake-version"));
+        let png = rebake::client::read_body(response, usize::MAX).await?;
+        let path = self.dir.join(name);
+        std::fs::write(&path, png).with_context(|| format!("cannot write {}", path.display()))?;
+        Ok(told)
+    }
+}
