@@ -23,7 +23,7 @@ pub const MAX_SAMPLES: u32 = 4096;
 /// Most samples of a whole picture: about a minute on two cores.
 pub const MAX_TOTAL_SAMPLES: u64 = 256 << 20;
 /// Samples per pixel of a picture that asks for none.
-pub const DEFAULT_SAMPLES: u32 = 8;
+pub const DEFAULT_SAMPLES: u32 = 4;
 /// Pictures that are drawn at the same time; more wait.
 const CONCURRENT: usize = 2;
 /// Versions before an edit that are kept per scene, to show changes against.

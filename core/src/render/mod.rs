@@ -124,7 +124,8 @@ pub fn write_png(width: usize, height: usize, rgb: &[u8]) -> Result<Vec<u8>, Exp
     if width == 0 || height == 0 || rgb.len() != 3 * width * height {
         return Err(ExportError::Lists("the picture".to_owned()));
     }
-    image::codecs::png::PngEncoder::new(&mut file)
+    use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+    PngEncoder::new_with_quality(&mut file, CompressionType::Default, FilterType::Adaptive)
         .write_image(rgb, side(width)?, side(height)?, image::ExtendedColorType::Rgb8)
         .map_err(|error| ExportError::Png(error.to_string()))?;
     Ok(file)

@@ -46,7 +46,7 @@ pub(super) struct RenderQuery {
     /// Pixels down; 360 where absent.
     #[param(maximum = 4096)]
     height: Option<u32>,
-    /// Samples per pixel; 8 where absent.
+    /// Samples per pixel; 4 where absent.
     #[param(maximum = 4096)]
     spp: Option<u32>,
     /// Seed of the random numbers: the same query on the same version gives the same bytes.

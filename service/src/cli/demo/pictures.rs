@@ -5,15 +5,16 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use rebake::client::Client;
 
-/// Shape of all pictures: half a page across, sharp on small screens.
-const SIZE: (u32, u32) = (800, 450);
+/// Shape of all pictures.
+const SIZE: (u32, u32) = (640, 360);
 /// Enough that soft shadows show no grain.
 const SAMPLES: u32 = 256;
+/// Stops: fixed, so that pictures compare.
+const EXPOSURE: f32 = 1.0;
 
-/// Asks the service for pictures of one scene. The first picture's exposure is that of all, so that they compare.
+/// Asks the service for pictures of one scene.
 pub(super) struct Pictures {
     dir: PathBuf,
-    exposure: Option<String>,
     /// Version of the first picture: what changes are shown against.
     first_version: Option<String>,
 }
@@ -21,15 +22,14 @@ pub(super) struct Pictures {
 impl Pictures {
     pub(super) fn new(dir: &Path) -> anyhow::Result<Pictures> {
         std::fs::create_dir_all(dir).with_context(|| format!("cannot create {}", dir.display()))?;
-        Ok(Pictures { dir: dir.to_owned(), exposure: None, first_version: None })
+        Ok(Pictures { dir: dir.to_owned(), first_version: None })
     }
 
     /// Saves the scene as it is lit now.
     pub(super) async fn light(&mut self, client: &Client, scene: &str, name: &str) -> anyhow::Result<()> {
-        let exposure = self.exposure.clone().map(|stops| ("exposure", stops));
-        let response = self.draw(client, scene, name, exposure).await?;
-        self.exposure.get_or_insert(response.0);
-        self.first_version.get_or_insert(response.1);
+        let look = [("exposure", EXPOSURE.to_string()), ("tone", "neutral".to_owned())];
+        let version = self.draw(client, scene, name, look).await?;
+        self.first_version.get_or_insert(version);
         Ok(())
     }
 
@@ -42,26 +42,23 @@ impl Pictures {
         Ok(())
     }
 
-    /// Saves one picture; answers exposure and version.
+    /// Saves one picture; answers the version of its light map.
     async fn draw(
         &self,
         client: &Client,
         scene: &str,
         name: &str,
         extra: impl IntoIterator<Item = (&'static str, String)>,
-    ) -> anyhow::Result<(String, String)> {
+    ) -> anyhow::Result<String> {
         let numbers = [("width", SIZE.0), ("height", SIZE.1), ("spp", SAMPLES)];
         let mut query: Vec<_> = numbers.into_iter().map(|(name, number)| (name, number.to_string())).collect();
         query.extend(extra);
         let response = client.render(scene, &query).await?;
-        let header = |name: &str| {
-            let value = response.headers().get(name).and_then(|value| value.to_str().ok());
-            value.unwrap_or_default().to_owned()
-        };
-        let told = (header("x-rebake-exposure"), header("x-rebake-version"));
+        let version = response.headers().get("x-rebake-version").and_then(|value| value.to_str().ok());
+        let version = version.context("the service does not tell the picture's version")?.to_owned();
         let png = rebake::client::read_body(response, usize::MAX).await?;
         let path = self.dir.join(name);
         std::fs::write(&path, png).with_context(|| format!("cannot write {}", path.display()))?;
-        Ok(told)
+        Ok(version)
     }
 }
