@@ -11,6 +11,7 @@ pub mod edit;
 pub mod export;
 pub mod job;
 pub mod lightmap;
+pub mod metrics;
 pub mod path;
 pub mod random;
 pub mod render;

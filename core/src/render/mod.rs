@@ -7,6 +7,7 @@
 
 mod camera;
 mod palette;
+mod read;
 mod shade;
 #[cfg(test)]
 mod tests;
@@ -15,6 +16,7 @@ mod values;
 
 pub use camera::{Viewpoint, ViewpointError};
 pub use palette::{Palette, nice_scale};
+pub use read::{Loaded, read_picture};
 pub use tone::{ToneMap, auto_exposure, srgb_from_linear};
 pub use values::{ValuePicture, change_since, render_values, stated_errors};
 

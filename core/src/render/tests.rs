@@ -269,6 +269,21 @@ fn pictures_are_read_back() {
     assert_eq!(png.dimensions(), (4, 3));
     let expected = (srgb_from_linear(0.5) * 255.0 + 0.5) as u8;
     assert_eq!(png.get_pixel(0, 0).0, [0, expected, 255]);
-    assert!(picture.exr(&[("rebakeView", "full")]).unwrap().starts_with(&[0x76, 0x2f, 0x31, 0x01]));
+    let loaded = read_picture(&picture.exr(&[("rebakeView", "full")]).unwrap()).unwrap();
+    assert_eq!(loaded, Loaded { picture: picture.clone(), elements: None });
+    let loaded = read_picture(&picture.png(0.0, ToneMap::Linear).unwrap()).unwrap();
+    assert!(
+        loaded
+            .picture
+            .pixels
+            .iter()
+            .zip(&picture.pixels)
+            .all(|(a, b)| (*a - b.min(Vec3::ONE)).abs().max_element() < 5e-3)
+    );
+    // A light map's padding is no part of it.
+    let map = crate::export::write_exr(&[("", &picture.pixels[..7])], 4, &[]).unwrap();
+    let loaded = read_picture(&map).unwrap();
+    assert_eq!((loaded.elements, &loaded.picture.pixels[..]), (Some(7), &picture.pixels[..7]));
+    assert!(read_picture(b"nothing").is_err() && read_picture(&map[..40]).is_err());
     assert!(write_png(2, 2, &[0; 11]).is_err());
 }

@@ -1,6 +1,7 @@
 //! The command line. Results go to standard output, everything else to standard error.
 
 mod bake;
+mod compare;
 mod demo;
 mod exit;
 mod remote;
@@ -64,6 +65,8 @@ enum Command {
     Pull(remote::PullArgs),
     /// Draw a picture of a scene, or of a file after baking it
     Render(Box<render::RenderArgs>),
+    /// Compare two pictures or light maps: RMSE, FLIP, a picture of the difference
+    Compare(compare::CompareArgs),
     /// Ask a service whether it takes work
     Health(remote::HealthArgs),
     /// Print the API description (OpenAPI, JSON)
@@ -99,6 +102,7 @@ pub(crate) fn run() -> ExitCode {
             Command::Watch(args) => remote::watch(args).await,
             Command::Pull(args) => remote::pull(args).await,
             Command::Render(args) => render::render(*args).await,
+            Command::Compare(args) => compare::compare(&args),
             Command::Health(args) => remote::health(args).await,
             Command::Openapi => ui::out(&serve::openapi_document()?),
         }
@@ -148,6 +152,7 @@ mod tests {
             "rebake pull s1 -o room.rbkd --layer indirect",
             "rebake render s1 -o now.png --view change --since 7 --scale 0.5 --size 1280x720 --spp 64",
             "rebake render room.glb -o room.exr --eye 1,2,3 --target 0,1,-1 --fov-y 1 --exposure -1.5 --samples 64",
+            "rebake compare a.exr b.exr -o difference.png --crop 1,2,3,4 --crop 5,6,7,8 --json",
             "rebake health",
             "rebake openapi",
         ] {
@@ -180,6 +185,8 @@ mod tests {
             "rebake edit s1 insert-light l --kind point",
             "rebake pull s1 -o room.obj",
             "rebake render s1",
+            "rebake compare a.exr",
+            "rebake compare a.exr b.exr --crop 1,2,3",
             "rebake render s1 -o room.jpg",
             "rebake render s1 -o room.png --size 0x3",
             "rebake render s1 -o room.png --eye 1,2,3",
