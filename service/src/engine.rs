@@ -5,7 +5,7 @@
 use std::fmt::Debug;
 use std::sync::Arc;
 
-use glam::{DVec3, Vec3};
+use glam::{DMat4, DVec3, Vec3};
 use rebake_core::export::{EXR_WIDTH, write_exr};
 use rebake_core::scene::{Light, LightKind, LoadLimits, load_glb};
 pub use rebake_core::scene::{LoadError, Scene};
@@ -140,6 +140,7 @@ pub(crate) struct ObjectSummary {
     pub(crate) triangles: u32,
     pub(crate) bounds: (DVec3, DVec3),
     pub(crate) albedo: Vec3,
+    pub(crate) world_from_object: DMat4,
 }
 
 /// All objects of a world.
@@ -153,6 +154,7 @@ pub(crate) fn objects(world: &World) -> impl Iterator<Item = ObjectSummary> + '_
         triangles: object.triangle_count,
         bounds: object.bounds,
         albedo: object.albedo,
+        world_from_object: world.scene.objects[object.index as usize].world_from_object,
     })
 }
 

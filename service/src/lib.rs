@@ -16,6 +16,7 @@ pub mod pictures;
 pub mod server;
 mod state;
 mod store;
+pub mod viewer;
 
 pub use config::Config;
 pub use server::run;

@@ -29,6 +29,8 @@ use axum::middleware::from_fn;
 use axum::response::IntoResponse;
 use axum::routing::{get, post};
 
+pub(crate) use coding::encode_body;
+pub(crate) use extract::{Coding, ETags};
 pub use openapi::document;
 
 use crate::state::App;
@@ -58,6 +60,7 @@ pub(crate) fn router(app: Arc<App>) -> Router {
         .route("/metrics", get(health::not_implemented))
         .route("/openapi.json", get(openapi::get))
         .route("/problems/{slug}", get(health::problem))
+        .merge(crate::viewer::routes())
         .fallback(|| async { Problem::new(Kind::NotFound, "there is nothing at this path").into_response() })
         .method_not_allowed_fallback(|| async {
             Problem::new(Kind::MethodNotAllowed, "this path does not take this method").into_response()
