@@ -1,5 +1,6 @@
 //! The service over HTTP: the real server on a free port.
 
+mod browser;
 mod deltas;
 mod edits;
 mod engine;

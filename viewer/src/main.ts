@@ -376,7 +376,9 @@ function panelsOfWork(): void {
 }
 
 function keys(event: KeyboardEvent): void {
-  if (event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement) return;
+  const target = event.target;
+  // Lists of choices take letters and digits themselves; sliders and boxes do not.
+  if (target instanceof HTMLSelectElement) return;
   const control = event.ctrlKey || event.metaKey;
   const views = [...$<HTMLSelectElement>('view').options].map((o) => o.value);
   const key = event.key.toLowerCase();

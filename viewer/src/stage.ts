@@ -191,6 +191,12 @@ export class Stage {
     };
   }
 
+  /** Where a world-space point is on the screen, in parts of the picture from its top left. */
+  project(point: Point): [number, number] {
+    const p = new Vector3().fromArray(point).project(this.camera);
+    return [(p.x + 1) / 2, (1 - p.y) / 2];
+  }
+
   /** World-space geometry of an object, as a group to be written to a file. */
   group(name: string): Group | undefined {
     return this.objects.get(name);
