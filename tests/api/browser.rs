@@ -9,12 +9,14 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use glam::{DMat3, DMat4, DVec3, Vec3};
 use rebake::Config;
+use rebake_core::export::write_scene_glb;
+use rebake_core::scene::{Camera, Material, Mesh, Object, Scene};
 use tokio::net::TcpListener;
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
 
-use super::glb;
 use super::server::{Server, patiently};
 
 /// Between two lines of the script: longer than it waits itself.
@@ -44,7 +46,7 @@ async fn the_page_edits_a_room_in_a_browser() {
         }
     };
     let room = std::env::temp_dir().join(format!("rebake-browser-{}.glb", std::process::id()));
-    std::fs::write(&room, glb::room().bytes()).unwrap();
+    std::fs::write(&room, write_scene_glb(&furnished_room()).unwrap()).unwrap();
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
     let mut service = Some(Service::start(listener));
@@ -67,6 +69,25 @@ async fn the_page_edits_a_room_in_a_browser() {
     service.unwrap().stop().await;
     std::fs::remove_file(&room).unwrap();
     assert!(ended.success() && said.last().is_some_and(|line| line == "done"), "{}", said.join("\n"));
+}
+
+/// 4 × 3 × 4 m with a cupboard, a lamp under the ceiling, and a camera that looks down on the cupboard.
+fn furnished_room() -> Scene {
+    let object = |name: &str, mesh: Mesh, albedo: [f32; 3]| Object::new(name, mesh, Material::diffuse(albedo.into()));
+    let (low, high) = (Vec3::new(1.0, 0.02, 0.8), Vec3::new(2.0, 1.0, 1.4));
+    let lamp = Mesh::quad(Vec3::new(1.5, 2.95, 1.5), Vec3::X, Vec3::Z);
+    let mut scene = Scene::from_objects(vec![
+        object("room", Mesh::cuboid(Vec3::ZERO, Vec3::new(4.0, 3.0, 4.0)).inside_out(), [0.7, 0.6, 0.5]),
+        object("cupboard", Mesh::cuboid(low, high), [0.2, 0.4, 0.6]),
+        Object::new("lamp", lamp, Material::emissive(Vec3::new(8.0, 7.0, 6.0))),
+    ]);
+    let eye = DVec3::new(3.4, 2.2, 3.6);
+    let backward = (eye - DVec3::new(1.5, 0.3, 1.2)).normalize();
+    let right = DVec3::Y.cross(backward).normalize();
+    let rotation = DMat3::from_cols(right, backward.cross(right), backward);
+    let world_from_camera = DMat4::from_mat3_translation(rotation, eye);
+    scene.cameras.push(Camera { name: "view".to_owned(), world_from_camera, fov_y: 1.0 });
+    scene
 }
 
 /// The browser and the directory of the built page.

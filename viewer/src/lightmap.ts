@@ -4,8 +4,8 @@ import { DynamicDrawUsage, BufferAttribute } from 'three';
 import { apply, reach, type Frame } from './frames';
 import type { SceneObject } from './types';
 
-/** Marks elements that were not there before the edit; light is never negative. */
-const NEW = -1;
+/** Marks elements that were not there before the edit. Estimated light may be a little below 0, never this far. */
+const NEW = -1e30;
 
 /** Elements of one object as vertex attributes; they look into the map's own arrays. */
 interface Window {
@@ -120,7 +120,7 @@ export class LightMap {
     const sizes: number[] = [];
     const step = Math.max(1, Math.floor(this.elements / 20000));
     for (let i = 0; i < this.elements; i += step) {
-      if (this.base[3 * i]! < 0) continue;
+      if (this.base[3 * i]! < 0.5 * NEW) continue;
       let change = 0;
       for (let k = 3 * i; k < 3 * i + 3; k++) change += this.current[k]! - this.base[k]!;
       if (change !== 0) sizes.push(Math.abs(change / 3));

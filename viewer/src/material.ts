@@ -58,11 +58,11 @@ const fragmentShader = /* glsl */ `
   void main() {
     float facing = abs(dot(normalize(vNormal), normalize(vView)));
     if (mode == 2) {
-      // Elements that the edit brought have nothing to be compared with: negative marks them.
-      float change = vBase.x < 0.0 ? 0.0 : dot(vLight - vBase, vec3(1.0 / 3.0));
+      // Elements that the edit brought have nothing to be compared with: a value far below 0 marks them.
+      float change = vBase.x < -1e29 ? 0.0 : dot(vLight - vBase, vec3(1.0 / 3.0));
       gl_FragColor = vec4(diverging(change / scale) * (0.45 + 0.55 * facing), 1.0);
     } else {
-      vec3 light = before > 0.5 && vBase.x >= 0.0 ? vBase : vLight;
+      vec3 light = before > 0.5 && vBase.x > -1e29 ? vBase : vLight;
       vec3 radiance = mode == 1 ? light : albedo * light + emission * emissive;
       gl_FragColor = vec4(radiance, 1.0);
       #include <tonemapping_fragment>
