@@ -79,6 +79,10 @@ function leave(): void {
   events?.close();
   [scene, picked, jobs, shownMesh] = [null, null, [], ''];
   map.clear();
+  stage.clear();
+  plot.clear();
+  editor.clear();
+  before.clear();
   $('welcome').hidden = false;
   say('Ready. Drop a .glb to begin.');
   panels();
@@ -86,8 +90,6 @@ function leave(): void {
 
 async function open(id: string): Promise<void> {
   leave();
-  plot.clear();
-  editor.clear();
   scene = await api.scene(id);
   location.hash = id;
   $<HTMLSelectElement>('scenes').value = id;
@@ -166,6 +168,17 @@ function told(job: Job): void {
   panelsOfWork();
 }
 
+let isLost = false;
+
+/** After a lost connection: what happened meanwhile. The light map's stream resumes by itself. */
+async function caughtUp(): Promise<void> {
+  if (!scene) return;
+  events?.close();
+  jobs = await api.jobs(scene.id);
+  listen(scene.id);
+  await refresh();
+}
+
 worker.onmessage = ({ data }: MessageEvent<FromWorker>) => {
   switch (data.type) {
     case 'snapshot': {
@@ -176,17 +189,20 @@ worker.onmessage = ({ data }: MessageEvent<FromWorker>) => {
         shownMesh = '';
         void attempt(refresh);
       }
-      const rate = data.ms > 0 ? `, decoded at ${Math.round(data.elements / data.ms / 1000)} M elements/s` : '';
+      const rate = data.elements > 10_000 ? `, decoded at ${Math.round(data.elements / data.ms / 1000)} M elements/s` : '';
       $('numbers').dataset['stream'] = `version ${version}: ${data.elements.toLocaleString('en')} values${rate}`;
       overlays();
       stage.invalidate();
       break;
     }
     case 'offline':
+      isLost = true;
       banner('The connection is lost. Trying again…', true);
       say('Not connected');
       break;
     case 'online':
+      if (isLost) void attempt(caughtUp);
+      isLost = false;
       banner(null);
       say('Connected');
       break;

@@ -73,6 +73,14 @@ export class Stage {
     this.invalidate();
   }
 
+  /** Shows nothing. */
+  clear(): void {
+    this.select(null);
+    this.clearObjects();
+    this.mark([], []);
+    this.invalidate();
+  }
+
   /** Shows the meshes of a light map file. Nodes carry the objects' names, vertices are elements in order. */
   async show(file: ArrayBuffer, scene: Scene, map: LightMap): Promise<void> {
     const gltf = await new GLTFLoader().parseAsync(file, '');

@@ -7,6 +7,8 @@ use rebake::client::Client;
 
 /// Shape of all pictures.
 const SIZE: (u32, u32) = (640, 360);
+/// The same shape, smaller: an error map is noise, which does not compress.
+const ERROR_SIZE: (u32, u32) = (560, 315);
 /// Enough that soft shadows show no grain.
 const SAMPLES: u32 = 256;
 /// Stops: fixed, so that pictures compare.
@@ -28,7 +30,7 @@ impl Pictures {
     /// Saves the scene as it is lit now.
     pub(super) async fn light(&mut self, client: &Client, scene: &str, name: &str) -> anyhow::Result<()> {
         let look = [("exposure", EXPOSURE.to_string()), ("tone", "neutral".to_owned())];
-        let version = self.draw(client, scene, name, look).await?;
+        let version = self.draw(client, scene, name, SIZE, look).await?;
         self.first_version.get_or_insert(version);
         Ok(())
     }
@@ -37,8 +39,9 @@ impl Pictures {
     pub(super) async fn change_and_error(&self, client: &Client, scene: &str) -> anyhow::Result<()> {
         let since = self.first_version.clone().context("there is no picture to show a change against")?;
         let change = [("view", "change".to_owned()), ("since", since)];
-        self.draw(client, scene, "room-change.png", change).await?;
-        self.draw(client, scene, "room-error.png", [("view", "error".to_owned())]).await?;
+        self.draw(client, scene, "room-change.png", SIZE, change).await?;
+        let error = [("view", "error".to_owned())];
+        self.draw(client, scene, "room-error.png", ERROR_SIZE, error).await?;
         Ok(())
     }
 
@@ -48,9 +51,10 @@ impl Pictures {
         client: &Client,
         scene: &str,
         name: &str,
+        size: (u32, u32),
         extra: impl IntoIterator<Item = (&'static str, String)>,
     ) -> anyhow::Result<String> {
-        let numbers = [("width", SIZE.0), ("height", SIZE.1), ("spp", SAMPLES)];
+        let numbers = [("width", size.0), ("height", size.1), ("spp", SAMPLES)];
         let mut query: Vec<_> = numbers.into_iter().map(|(name, number)| (name, number.to_string())).collect();
         query.extend(extra);
         let response = client.render(scene, &query).await?;
