@@ -118,6 +118,8 @@ pub fn nice_scale(values: &[f32]) -> f32 {
     }
     let at = (sizes.len() * 99 / 100).min(sizes.len() - 1);
     let (_, wanted, _) = sizes.select_nth_unstable_by(at, f32::total_cmp);
-    let decade = 10f32.powf(wanted.log10().floor());
-    [1.0, 2.0, 5.0, 10.0].into_iter().map(|step| step * decade).find(|s| *s >= *wanted * 0.999_999).unwrap_or(*wanted)
+    // In f64, so that what comes out is the f32 that is written the shortest way.
+    let decade = 10f64.powi(wanted.log10().floor() as i32);
+    let steps = [1.0, 2.0, 5.0, 10.0].map(|step: f64| (step * decade) as f32);
+    steps.into_iter().find(|scale| *scale >= *wanted * 0.999_999).unwrap_or(*wanted)
 }

@@ -259,6 +259,7 @@ fn automatic_numbers_are_round() {
     assert_eq!(nice_scale(&[0.0; 3]), 1.0);
     assert_eq!(nice_scale(&[0.3, -0.31]), 0.5);
     assert_eq!(nice_scale(&[2e-4; 10]), 2e-4);
+    assert_eq!(nice_scale(&[0.0071; 10]).to_string(), "0.01");
 }
 
 #[test]

@@ -318,6 +318,9 @@ impl Demo {
     fn invite(&self, address: SocketAddr) -> anyhow::Result<()> {
         let scene = &self.scene;
         let server = if address.port() == 7878 { String::new() } else { format!(" --server http://{address}") };
+        if rebake::viewer::is_embedded() {
+            ui::out(&format!("\nThe room is on a page, to look at and to edit: http://{address}/#{scene}"))?;
+        }
         ui::out(&format!(
             "\nThe service goes on running; Ctrl-C ends it. Try in another terminal:\n  \
              rebake watch {scene}{server}\n  \
