@@ -5,7 +5,7 @@
 use std::fmt::Debug;
 use std::sync::Arc;
 
-use glam::{DVec3, Vec3};
+use glam::{DMat4, DVec3, Vec3};
 use rebake_core::export::{EXR_WIDTH, write_exr};
 use rebake_core::scene::{Light, LightKind, LoadLimits, load_glb};
 pub use rebake_core::scene::{LoadError, Scene};
@@ -114,6 +114,7 @@ pub(crate) struct ObjectSummary {
     pub(crate) triangles: u32,
     pub(crate) bounds: (DVec3, DVec3),
     pub(crate) albedo: Vec3,
+    pub(crate) world_from_object: DMat4,
 }
 
 /// All objects of a world.
@@ -127,6 +128,7 @@ pub(crate) fn objects(world: &World) -> impl Iterator<Item = ObjectSummary> + '_
         triangles: object.triangle_count,
         bounds: object.bounds,
         albedo: object.albedo,
+        world_from_object: world.scene.objects[object.index as usize].world_from_object,
     })
 }
 

@@ -9,6 +9,7 @@ use tokio::sync::{Semaphore, watch};
 use crate::compute::Compute;
 use crate::config::Config;
 use crate::jobs::Jobs;
+use crate::pictures::Pictures;
 use crate::store::assets::Assets;
 use crate::store::scenes::Scenes;
 use crate::store::{InMemory, Store};
@@ -32,6 +33,7 @@ pub(crate) struct App {
     pub(crate) jobs: Jobs,
     pub(crate) scenes: Arc<Scenes>,
     pub(crate) assets: Assets,
+    pub(crate) pictures: Pictures,
     pub(crate) store: Arc<dyn Store>,
     pub(crate) phase: watch::Sender<Phase>,
     /// Uploads that are read and built.
@@ -49,6 +51,7 @@ impl App {
             jobs: Jobs::new(&config)?,
             scenes: Arc::new(Scenes::new()),
             assets: Assets::new(limits.assets, limits.asset_bytes),
+            pictures: Pictures::new(),
             store: Arc::new(InMemory),
             phase: watch::Sender::new(Phase::Serving),
             uploads: Arc::new(Semaphore::new(limits.concurrent_uploads)),

@@ -1,5 +1,6 @@
 //! The service over HTTP: the real server on a free port.
 
+mod browser;
 mod deltas;
 mod edits;
 mod engine;
@@ -9,6 +10,7 @@ mod glb;
 mod jobs;
 mod lightmap;
 mod openapi;
+mod render;
 mod scenes;
 mod server;
 mod shutdown;

@@ -171,7 +171,7 @@ fn large_black_objects_in_bright_rooms_make_it_diverge() {
     };
     let errors = [at(4), at(8), at(16)];
     let budget = Budget { samples_per_element: 64, target_rmse: None };
-    let ours = error(&update(&transition, &base, &budget, 1, &Unobserved).expect("nobody cancels"));
+    let ours = error(&update(&transition, &base, &budget, None, 1, &Unobserved).expect("nobody cancels"));
     let untouched = error(&transition.carry_over(&base));
     assert!(errors[0] > 1.0 && errors[1] > 3.0 * errors[0] && errors[2] > 9.0 * errors[1], "{errors:?}");
     // Light is left in gaps of two elements' width alone, where any map of elements is coarse.

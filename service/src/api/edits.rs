@@ -132,6 +132,7 @@ fn accept(
         return Err(Problem::new(Kind::QueueFull, text).retry_after(1));
     }
     let transition = head.world.apply(&edits).map_err(|error| edit_problem(error, parsed.is_list))?;
+    app.pictures.remember(scene.number, scene.published());
     let after = transition.after.clone();
     let sequence = head.sequence + 1;
     app.store.edit_accepted(&scene.id, sequence, body)?;

@@ -16,6 +16,7 @@ mod lightmap;
 mod openapi;
 mod paging;
 pub mod problem;
+mod render;
 mod scenes;
 mod trace;
 pub mod types;
@@ -28,6 +29,8 @@ use axum::middleware::from_fn;
 use axum::response::IntoResponse;
 use axum::routing::{get, post};
 
+pub(crate) use coding::encode_body;
+pub(crate) use extract::{Coding, ETags};
 pub use openapi::document;
 
 use crate::state::App;
@@ -47,7 +50,7 @@ pub(crate) fn router(app: Arc<App>) -> Router {
         .route("/v1/scenes/{scene}/lightmap", get(lightmap::get))
         .route("/v1/scenes/{scene}/lightmap/deltas", get(deltas::get))
         .route("/v1/scenes/{scene}/elements", get(elements::get))
-        .route("/v1/scenes/{scene}/render", get(health::not_implemented))
+        .route("/v1/scenes/{scene}/render", get(render::get))
         .route("/v1/assets", post(assets::create))
         .route("/v1/jobs", get(jobs::list))
         .route("/v1/jobs/{job}", get(jobs::get).delete(jobs::cancel))
@@ -57,6 +60,7 @@ pub(crate) fn router(app: Arc<App>) -> Router {
         .route("/metrics", get(health::not_implemented))
         .route("/openapi.json", get(openapi::get))
         .route("/problems/{slug}", get(health::problem))
+        .merge(crate::viewer::routes())
         .fallback(|| async { Problem::new(Kind::NotFound, "there is nothing at this path").into_response() })
         .method_not_allowed_fallback(|| async {
             Problem::new(Kind::MethodNotAllowed, "this path does not take this method").into_response()

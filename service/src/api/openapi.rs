@@ -7,7 +7,7 @@ use utoipa::openapi::response::ResponseBuilder;
 use utoipa::openapi::{Ref, RefOr};
 
 use super::problem::{self, Kind, ProblemDocument};
-use super::{assets, deltas, edit_types, edits, elements, events, health, jobs, lightmap, scenes, types};
+use super::{assets, deltas, edit_types, edits, elements, events, health, jobs, lightmap, render, scenes, types};
 
 #[derive(OpenApi)]
 #[openapi(
@@ -19,7 +19,7 @@ use super::{assets, deltas, edit_types, edits, elements, events, health, jobs, l
     paths(
         scenes::create, scenes::list, scenes::get, scenes::delete, assets::create, edits::create,
         jobs::list, jobs::get, jobs::cancel, events::of_job, events::of_scene,
-        lightmap::get, deltas::get, elements::get, health::alive, health::ready, health::problem, get
+        lightmap::get, deltas::get, elements::get, render::get, health::alive, health::ready, health::problem, get
     ),
     components(schemas(ProblemDocument, types::SnapshotEvent, types::SceneEvent, types::SceneSummary, edit_types::EditRequest)),
     tags(
@@ -56,7 +56,7 @@ fn problems_of(operation: &str) -> &'static [Kind] {
         EditTooLarge, InvalidJson, InvalidQuery, InvalidValue, JobEnded, KeyReused, MalformedFile, NameTaken, NotFound,
         PayloadTooLarge, PreconditionFailed, QueueFull, SceneTooLarge, ShuttingDown, Storage, Timeout, TooManyAssets,
         TooManyScenes, TooManyStreams, TooManyUploads, UnknownAsset, UnknownCamera, UnknownJob, UnknownLight,
-        UnknownObject, UnknownScene, UnsupportedFile, UnsupportedMediaType, VersionAhead,
+        UnknownObject, UnknownScene, UnsupportedFile, UnsupportedMediaType, VersionAhead, VersionForgotten,
     };
     match operation {
         "create_scene" => &[
@@ -115,6 +115,7 @@ fn problems_of(operation: &str) -> &'static [Kind] {
         "get_lightmap" => &[InvalidQuery, UnknownScene],
         "get_deltas" => &[InvalidQuery, UnknownScene, VersionAhead, TooManyStreams],
         "get_elements" => &[UnknownScene],
+        "render_scene" => &[InvalidQuery, UnknownScene, VersionForgotten],
         "describe_problem" => &[NotFound],
         "ready" => &[ShuttingDown],
         _ => &[],

@@ -134,6 +134,7 @@ kinds! {
     TooManyScenes "too-many-scenes" CONFLICT "Too many scenes" "The service holds as many scenes as it may; delete one.";
     TooManyAssets "too-many-assets" CONFLICT "Too many assets" "The service holds as many assets, or bytes of assets, as it may.";
     VersionAhead "version-ahead" CONFLICT "Version ahead" "The client's version is newer than the scene's: it belongs to something else. Start over from version 0.";
+    VersionForgotten "version-forgotten" GONE "Version forgotten" "The version that a change is to be shown against is not kept.";
     PreconditionFailed "precondition-failed" PRECONDITION_FAILED "Precondition failed" "The scene has moved on to another version than If-Match names.";
     PayloadTooLarge "payload-too-large" PAYLOAD_TOO_LARGE "Payload too large" "The body is larger than the service takes.";
     SceneTooLarge "scene-too-large" PAYLOAD_TOO_LARGE "Scene too large" "The scene has more triangles, elements or other parts than the service takes.";

@@ -265,6 +265,7 @@ pub(super) async fn delete(State(app): Shared, ApiPath(id): ApiPath<String>) -> 
         return Err(Problem::new(Kind::UnknownScene, format!("there is no scene {id:?}")));
     }
     app.cancel_scene(&scene);
+    app.pictures.forget(scene.number);
     let published = scene.published();
     let event = types::SceneEvent {
         scene: scene.id.clone(),

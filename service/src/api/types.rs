@@ -180,6 +180,9 @@ pub struct Object {
     /// Mean diffuse albedo, linear RGB.
     #[schema(example = json!([0.6, 0.1, 0.1]))]
     pub albedo: [f32; 3],
+    /// Object space to world space, column-major, metres: what `move` replaces.
+    #[schema(example = json!([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.5, 0, 2, 1]))]
+    pub transform: [f64; 16],
 }
 
 impl Object {
@@ -192,6 +195,7 @@ impl Object {
             triangles: object.triangles,
             bounds: Bounds { min: object.bounds.0.to_array(), max: object.bounds.1.to_array() },
             albedo: object.albedo.to_array(),
+            transform: object.world_from_object.to_cols_array(),
         }
     }
 }

@@ -2,9 +2,11 @@
 
 mod bake;
 mod bench;
+mod compare;
 mod demo;
 mod exit;
 mod remote;
+mod render;
 mod serve;
 mod ui;
 mod values;
@@ -32,6 +34,7 @@ With a service:
   rebake watch $ID                         one line per new version of its light map
   rebake edit $ID --wait insert chair.glb --at 1,0,2
   rebake edit $ID --wait remove chair
+  rebake render $ID -o room.png            a picture
   rebake pull $ID -o room.glb              the subdivided mesh with the light map as COLOR_0
 
 Exit status: 0 done, 1 failed, 2 wrong usage, 3 the service refused, 4 the job failed or was canceled, \
@@ -63,6 +66,10 @@ enum Command {
     Watch(remote::WatchArgs),
     /// Save a scene's light map to a file
     Pull(remote::PullArgs),
+    /// Draw a picture of a scene, or of a file after baking it
+    Render(Box<render::RenderArgs>),
+    /// Compare two pictures or light maps: RMSE, FLIP, a picture of the difference
+    Compare(compare::CompareArgs),
     /// Ask a service whether it takes work
     Health(remote::HealthArgs),
     /// Print the API description (OpenAPI, JSON)
@@ -98,6 +105,8 @@ pub(crate) fn run() -> ExitCode {
             Command::Edit(args) => remote::edit(&args).await,
             Command::Watch(args) => remote::watch(args).await,
             Command::Pull(args) => remote::pull(args).await,
+            Command::Render(args) => render::render(*args).await,
+            Command::Compare(args) => compare::compare(&args),
             Command::Health(args) => remote::health(args).await,
             Command::Openapi => ui::out(&serve::openapi_document()?),
         }
@@ -148,6 +157,9 @@ mod tests {
             "rebake edit s1 move-light lamp-2 --position 1,2,0",
             "rebake watch s1 --until 7",
             "rebake pull s1 -o room.rbkd --layer indirect",
+            "rebake render s1 -o now.png --view change --since 7 --scale 0.5 --size 1280x720 --spp 64",
+            "rebake render room.glb -o room.exr --eye 1,2,3 --target 0,1,-1 --fov-y 1 --exposure -1.5 --samples 64",
+            "rebake compare a.exr b.exr -o difference.png --crop 1,2,3,4 --crop 5,6,7,8 --json",
             "rebake health",
             "rebake openapi",
         ] {
@@ -184,6 +196,13 @@ mod tests {
             "rebake edit s1 material sofa --albedo 1.5,0,0",
             "rebake edit s1 insert-light l --kind point",
             "rebake pull s1 -o room.obj",
+            "rebake render s1",
+            "rebake compare a.exr",
+            "rebake compare a.exr b.exr --crop 1,2,3",
+            "rebake render s1 -o room.jpg",
+            "rebake render s1 -o room.png --size 0x3",
+            "rebake render s1 -o room.png --eye 1,2,3",
+            "rebake render s1 -o room.png --view sideways",
         ] {
             assert!(parse(line.split(' ')).is_err(), "{line}");
         }

@@ -192,6 +192,11 @@ impl Client {
         self.send(self.request(Method::GET, &["v1", "scenes", scene, "lightmap"], &query)?).await
     }
 
+    /// A picture; `query` as the API describes it.
+    pub async fn render(&self, scene: &str, query: &[(&str, String)]) -> Result<Response, ClientError> {
+        self.send(self.request(Method::GET, &["v1", "scenes", scene, "render"], query)?).await
+    }
+
     /// Positions, normals, areas and objects: 32 bytes per element.
     pub async fn elements(&self, scene: &str) -> Result<Vec<u8>, ClientError> {
         let response = self.send(self.request(Method::GET, &["v1", "scenes", scene, "elements"], &[])?).await?;
