@@ -1,9 +1,11 @@
 //! Every limit of the service in one place. Nothing that a client can make grow is without one.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
 use crate::engine::{CoreEngine, Engine};
+use crate::store::faults::Faults;
 
 /// How the service runs.
 #[derive(Clone, Debug)]
@@ -18,6 +20,10 @@ pub struct Config {
     pub timeouts: Timeouts,
     /// What a client gets that does not ask for anything else.
     pub defaults: Defaults,
+    /// Where scenes, assets, edits and light maps are kept across restarts; none: in memory only.
+    pub data_dir: Option<PathBuf>,
+    /// Faults of the data directory, for tests.
+    pub faults: Faults,
     /// What computes light: the engine, or a stand-in for tests.
     pub engine: Arc<dyn Engine>,
 }
@@ -88,6 +94,8 @@ pub struct Timeouts {
     pub shutdown: Duration,
     /// Between two progress events of one job.
     pub progress: Duration,
+    /// Between two saves of the light of a job that runs.
+    pub save: Duration,
 }
 
 /// What a client gets that does not ask for anything else.
@@ -109,6 +117,8 @@ impl Default for Config {
             limits: Limits::default(),
             timeouts: Timeouts::default(),
             defaults: Defaults::default(),
+            data_dir: None,
+            faults: Faults::default(),
             engine: Arc::new(CoreEngine),
         }
     }
@@ -153,6 +163,7 @@ impl Default for Timeouts {
             keep_alive: Duration::from_secs(15),
             shutdown: Duration::from_secs(10),
             progress: Duration::from_millis(100),
+            save: Duration::from_secs(10),
         }
     }
 }

@@ -125,6 +125,21 @@ pub(crate) fn build(scene: Scene, spacing: Option<f32>, limits: &Limits) -> Resu
     World::new(scene, &options)
 }
 
+/// A world without anything in it: what is shown of a scene that cannot be built.
+pub(crate) fn empty_world(spacing: f32) -> World {
+    let scene = Scene {
+        origin: DVec3::ZERO,
+        objects: Vec::new(),
+        lights: Vec::new(),
+        cameras: Vec::new(),
+        warnings: Vec::new(),
+        degenerate_triangles: 0,
+    };
+    let options = rebake_core::WorldOptions { spacing: Some(spacing), ..rebake_core::WorldOptions::default() };
+    // Nothing can be too large or malformed.
+    World::new(scene, &options).expect("an empty scene can be built")
+}
+
 /// The old map with the slots of the new world.
 pub(crate) fn carry_over(transition: &Transition, map: &LightMap) -> Arc<LightMap> {
     Arc::new(transition.carry_over(map))
@@ -172,6 +187,11 @@ pub(crate) fn element_records(world: &World) -> Vec<u8> {
         bytes.extend_from_slice(&object.to_le_bytes());
     }
     bytes
+}
+
+/// A hash of all elements: two worlds with the same one have the same slots, bit for bit.
+pub(crate) fn layout_hash(world: &World) -> String {
+    blake3::hash(&element_records(world)).to_hex().to_string()
 }
 
 /// The subdivided mesh with the values as vertex colours, as binary glTF.

@@ -11,9 +11,12 @@ pub mod config;
 pub mod engine;
 mod events;
 pub mod jobs;
+mod restore;
+mod saving;
 pub mod server;
 mod state;
 mod store;
 
 pub use config::Config;
 pub use server::run;
+pub use store::faults;

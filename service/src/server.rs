@@ -19,9 +19,11 @@ use crate::state::{App, Phase};
 /// stays consistent), lets every stream send what is left, and returns within the time of `config`.
 ///
 /// # Errors
-/// Where the compute threads cannot be started.
+/// Where the compute threads cannot be started or the data directory cannot be used.
 pub async fn run(listener: TcpListener, config: Config, shutdown: impl Future<Output = ()>) -> io::Result<()> {
-    let app = App::new(config).map_err(io::Error::other)?;
+    // Scenes of an earlier life are built here.
+    let app = tokio::task::spawn_blocking(move || App::new(config)).await.map_err(io::Error::other)?;
+    let app = app.map_err(io::Error::other)?;
     let router = api::router(app.clone());
     let connections = Arc::new(Semaphore::new(app.config.limits.connections));
     let graceful = GracefulShutdown::new();
@@ -79,7 +81,7 @@ async fn close(app: &Arc<App>, graceful: GracefulShutdown) {
     let limit = app.config.timeouts.shutdown;
     tracing::info!(connections = graceful.count(), seconds = limit.as_secs_f32(), "closing");
     app.phase.send_replace(Phase::Draining);
-    app.jobs.close(app);
+    app.close_jobs();
     let end_streams = async {
         let mut running = app.jobs.watch_running();
         // Streams end with whatever is published by then.
@@ -93,5 +95,9 @@ async fn close(app: &Arc<App>, graceful: GracefulShutdown) {
     match tokio::time::timeout(limit, both).await {
         Ok(_) => tracing::info!("closed"),
         Err(_elapsed) => tracing::warn!("some connections did not end in time"),
+    }
+    let its_app = app.clone();
+    if tokio::task::spawn_blocking(move || its_app.save_all()).await.is_err() {
+        tracing::error!("the light could not be saved");
     }
 }

@@ -26,6 +26,8 @@ pub enum JobState {
     Queued,
     /// Runs.
     Running,
+    /// Waits for a client to resume it.
+    Paused,
     /// Done.
     Succeeded,
     /// Ended by an error.
@@ -39,6 +41,7 @@ impl From<queue::JobState> for JobState {
         match state {
             queue::JobState::Queued => JobState::Queued,
             queue::JobState::Running => JobState::Running,
+            queue::JobState::Paused => JobState::Paused,
             queue::JobState::Succeeded => JobState::Succeeded,
             queue::JobState::Failed => JobState::Failed,
             queue::JobState::Canceled => JobState::Canceled,

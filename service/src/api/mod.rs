@@ -3,7 +3,7 @@
 mod assets;
 mod coding;
 mod deltas;
-mod edit_parse;
+pub(crate) mod edit_parse;
 pub mod edit_types;
 mod edits;
 mod elements;
@@ -29,6 +29,7 @@ use axum::response::IntoResponse;
 use axum::routing::{get, post};
 
 pub use openapi::document;
+pub(crate) use scenes::next_seed;
 
 use crate::state::App;
 use crate::store::scenes::SceneEntry;
@@ -51,6 +52,8 @@ pub(crate) fn router(app: Arc<App>) -> Router {
         .route("/v1/assets", post(assets::create))
         .route("/v1/jobs", get(jobs::list))
         .route("/v1/jobs/{job}", get(jobs::get).delete(jobs::cancel))
+        .route("/v1/jobs/{job}/pause", post(jobs::pause))
+        .route("/v1/jobs/{job}/resume", post(jobs::resume))
         .route("/v1/jobs/{job}/events", get(events::of_job))
         .route("/healthz", get(health::alive))
         .route("/readyz", get(health::ready))
@@ -65,8 +68,17 @@ pub(crate) fn router(app: Arc<App>) -> Router {
         .with_state(app)
 }
 
-/// A scene by its id.
+/// A scene that can be worked with, by its id.
 fn find_scene(app: &App, id: &str) -> ApiResult<Arc<SceneEntry>> {
+    let scene = find_any_scene(app, id)?;
+    match scene.error() {
+        Some(error) if scene.is_damaged => Err(Problem::new(Kind::SceneDamaged, error)),
+        _ => Ok(scene),
+    }
+}
+
+/// A scene by its id, whatever its state.
+fn find_any_scene(app: &App, id: &str) -> ApiResult<Arc<SceneEntry>> {
     let found = app.ids.parse_scene(id).and_then(|number| app.scenes.get(number));
     found.ok_or_else(|| Problem::new(Kind::UnknownScene, format!("there is no scene {id:?}")))
 }

@@ -18,7 +18,7 @@ use super::{assets, deltas, edit_types, edits, elements, events, health, jobs, l
     ),
     paths(
         scenes::create, scenes::list, scenes::get, scenes::delete, assets::create, edits::create,
-        jobs::list, jobs::get, jobs::cancel, events::of_job, events::of_scene,
+        jobs::list, jobs::get, jobs::cancel, jobs::pause, jobs::resume, events::of_job, events::of_scene,
         lightmap::get, deltas::get, elements::get, health::alive, health::ready, health::problem, get
     ),
     components(schemas(ProblemDocument, types::SnapshotEvent, types::SceneEvent, types::SceneSummary, edit_types::EditRequest)),
@@ -109,7 +109,7 @@ fn problems_of(operation: &str) -> &'static [Kind] {
         "get_scene" => &[UnknownScene],
         "delete_scene" => &[UnknownScene, Storage],
         "get_job" => &[UnknownJob],
-        "cancel_job" => &[UnknownJob, JobEnded],
+        "cancel_job" | "pause_job" | "resume_job" => &[UnknownJob, JobEnded, Storage],
         "job_events" => &[UnknownJob, TooManyStreams],
         "scene_events" => &[UnknownScene, TooManyStreams],
         "get_lightmap" => &[InvalidQuery, UnknownScene],

@@ -70,6 +70,12 @@ impl Problem {
     }
 }
 
+impl std::fmt::Display for Problem {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.detail)
+    }
+}
+
 impl From<crate::compute::Panicked> for Problem {
     fn from(panic: crate::compute::Panicked) -> Problem {
         Problem::internal(panic)
@@ -79,7 +85,7 @@ impl From<crate::compute::Panicked> for Problem {
 impl From<crate::store::StoreError> for Problem {
     fn from(error: crate::store::StoreError) -> Problem {
         tracing::error!(%error, "not kept");
-        Problem::new(Kind::Storage, "the change could not be kept; nothing has changed").retry_after(5)
+        Problem::new(Kind::Storage, format!("{}: nothing has changed", error.reason)).retry_after(5)
     }
 }
 
@@ -149,6 +155,7 @@ kinds! {
     QueueFull "queue-full" TOO_MANY_REQUESTS "Queue full" "Too many jobs wait already.";
     TooManyUploads "too-many-uploads" TOO_MANY_REQUESTS "Too many uploads" "Too many uploads are under way.";
     TooManyStreams "too-many-streams" TOO_MANY_REQUESTS "Too many streams" "Too many event and delta streams are open.";
+    SceneDamaged "scene-damaged" INTERNAL_SERVER_ERROR "Scene damaged" "What was kept of the scene cannot be read any more. It can be looked at and deleted.";
     Internal "internal" INTERNAL_SERVER_ERROR "Internal error" "The service failed. Nothing that was acknowledged is lost.";
     NotImplemented "not-implemented" NOT_IMPLEMENTED "Not implemented" "This call is planned and not there yet.";
     ShuttingDown "shutting-down" SERVICE_UNAVAILABLE "Shutting down" "The service is about to end and takes no new work.";

@@ -23,8 +23,8 @@ pub(super) struct ServeArgs {
     /// Address and port; port 0 takes a free one
     #[arg(long, value_name = "ADDRESS", env = "REBAKE_LISTEN", default_value = "127.0.0.1:7878")]
     listen: SocketAddr,
-    /// Where to keep scenes across restarts (not in this build: scenes live in memory)
-    #[arg(long, value_name = "DIR")]
+    /// Where to keep scenes, edits and light maps across restarts [default: nowhere, they live in memory]
+    #[arg(long, value_name = "DIR", env = "REBAKE_DATA_DIR")]
     data_dir: Option<PathBuf>,
     /// Threads that compute [default: one per core]
     #[arg(long, value_name = "N", env = "REBAKE_THREADS")]
@@ -44,15 +44,17 @@ pub(super) async fn serve(args: ServeArgs) -> anyhow::Result<()> {
         ui::note("warning: this build asks for no token: whoever reaches this address can change scenes");
     }
     ui::out(&format!("listening on http://{address}"))?;
-    rebake::run(listener, config(args.threads), stop_signal()).await.context("the service stopped")?;
+    match &args.data_dir {
+        Some(directory) => tracing::info!(directory = %directory.display(), "scenes are kept"),
+        None => ui::note("no --data-dir: scenes live in memory and are gone when the service ends"),
+    }
+    let config = rebake::Config { data_dir: args.data_dir, ..config(args.threads) };
+    rebake::run(listener, config, stop_signal()).await.context("the service stopped")?;
     Ok(())
 }
 
 /// An option that is accepted has to do what it says.
 fn refuse_what_is_not_there(args: &ServeArgs) -> anyhow::Result<()> {
-    if args.data_dir.is_some() {
-        anyhow::bail!("--data-dir: this build keeps all scenes in memory and cannot store them; leave the option out");
-    }
     if args.token_file.is_some() {
         anyhow::bail!("--token-file: this build checks no tokens; leave the option out and keep the address private");
     }
@@ -116,8 +118,8 @@ mod tests {
             threads: None,
             token_file: token_file.map(PathBuf::from),
         };
-        assert!(refuse_what_is_not_there(&args(None, None)).is_ok());
-        for args in [args(Some("x"), None), args(None, Some("x"))] {
+        assert!(refuse_what_is_not_there(&args(Some("x"), None)).is_ok());
+        for args in [args(None, Some("x"))] {
             let message = refuse_what_is_not_there(&args).unwrap_err().to_string();
             assert!(message.contains("this build"), "{message}");
         }
