@@ -45,7 +45,8 @@ impl App {
         });
     }
 
-    /// Saves all light at the end of the service: every version that was given can be resumed.
+    /// Saves all light at the end of the service, so that every version that was given can be resumed, and closes what is
+    /// kept.
     pub(crate) fn save_all(&self) {
         if !self.store.is_durable() {
             return;
@@ -58,6 +59,7 @@ impl App {
                 self.note_unsaved(scene, &error);
             }
         }
+        self.store.close();
     }
 
     pub(crate) fn forget_jobs(&self, jobs: Vec<JobNumber>) {

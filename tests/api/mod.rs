@@ -1,6 +1,8 @@
 //! The service over HTTP: the real server on a free port.
 
+mod crash;
 mod deltas;
+mod durable;
 mod edits;
 mod engine;
 mod errors;

@@ -112,13 +112,16 @@ impl Lighting {
 
     /// The next version, which shows the geometry up to `sequence` with old light; `None` where it is shown already.
     pub(crate) fn show(&mut self, published: &Published, sequence: Sequence) -> Option<Published> {
+        if sequence <= self.shown_sequence {
+            return None;
+        }
         let mut map = published.map.clone();
         let mut world = None;
         for (_, unlit) in self.unlit.range((Excluded(self.shown_sequence), Included(sequence))) {
             map = carry_over(&unlit.transition, &map);
             world = Some(unlit.transition.after.clone());
         }
-        self.shown_sequence = self.shown_sequence.max(sequence);
+        self.shown_sequence = sequence;
         let world = world?;
         self.right_for = None;
         if self.lit.is_none() {

@@ -48,6 +48,8 @@ impl From<io::Error> for StoreError {
 pub(crate) trait Store: Send + Sync + Debug {
     /// Whether anything is kept at all.
     fn is_durable(&self) -> bool;
+    /// Nothing is written from here on; another process may have what is kept.
+    fn close(&self);
     /// A scene, with the job that bakes it.
     fn scene_created(
         &self,
@@ -78,6 +80,8 @@ impl Store for InMemory {
     fn is_durable(&self) -> bool {
         false
     }
+
+    fn close(&self) {}
 
     fn scene_created(
         &self,

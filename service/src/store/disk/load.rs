@@ -6,7 +6,7 @@ use std::sync::Arc;
 use rusqlite::Connection;
 
 use super::blobs::BlobId;
-use super::{Disk, codec, schema};
+use super::{Disk, codec, open, schema};
 use crate::engine::LightMap;
 use crate::jobs::queue::{JobNumber, SceneNumber};
 use crate::store::StoreError;
@@ -56,15 +56,16 @@ impl Disk {
             Ok((life, schema::text(t, "suffix", suffix)?))
         })?;
         let connection = self.connection();
-        self.sweep(&connection)?;
+        let connection = open(&connection)?;
+        self.sweep(connection)?;
         Ok(Saved {
             suffix,
             life,
-            newest_scene: schema::number(&connection, "newest_scene")?,
-            newest_job: schema::number(&connection, "newest_job")?,
-            assets: column(&connection, "SELECT id FROM assets")?,
-            scenes: scenes(&connection)?,
-            jobs: jobs(&connection)?,
+            newest_scene: schema::number(connection, "newest_scene")?,
+            newest_job: schema::number(connection, "newest_job")?,
+            assets: column(connection, "SELECT id FROM assets")?,
+            scenes: scenes(connection)?,
+            jobs: jobs(connection)?,
         })
     }
 

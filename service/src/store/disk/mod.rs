@@ -23,11 +23,12 @@ pub(crate) use load::{Saved, SavedScene};
 /// An open data directory. One process at a time has it.
 #[derive(Debug)]
 pub(crate) struct Disk {
-    connection: Mutex<Connection>,
+    /// None once it is closed.
+    connection: Mutex<Option<Connection>>,
     blobs: Blobs,
     faults: Faults,
     max_keys: usize,
-    _lock: File,
+    lock: Mutex<Option<File>>,
 }
 
 impl Disk {
@@ -46,12 +47,13 @@ impl Disk {
         let blobs = Blobs::open(directory, faults.clone())?;
         let mut connection = Connection::open(directory.join("rebake.db"))?;
         schema::prepare(&mut connection)?;
-        Ok(Disk { connection: Mutex::new(connection), blobs, faults, max_keys, _lock: lock })
+        Ok(Disk { connection: Mutex::new(Some(connection)), blobs, faults, max_keys, lock: Mutex::new(Some(lock)) })
     }
 
     /// Runs `change` as one transaction.
     fn transact<T>(&self, change: impl FnOnce(&Transaction<'_>) -> Result<T, StoreError>) -> Result<T, StoreError> {
         let mut connection = self.connection();
+        let connection = connection.as_mut().ok_or_else(closed)?;
         self.faults.check(WriteStep::Begin)?;
         let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
         let result = change(&transaction)?;
@@ -60,10 +62,18 @@ impl Disk {
         Ok(result)
     }
 
-    fn connection(&self) -> MutexGuard<'_, Connection> {
+    fn connection(&self) -> MutexGuard<'_, Option<Connection>> {
         // A transaction of a thread that panicked was rolled back when it was dropped.
         self.connection.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+fn open(connection: &Option<Connection>) -> Result<&Connection, StoreError> {
+    connection.as_ref().ok_or_else(closed)
+}
+
+fn closed() -> StoreError {
+    StoreError::damaged("the service is about to end", "the data directory is closed")
 }
 
 /// The JSON of a record.

@@ -1,9 +1,11 @@
 //! [`Store`] on a data directory.
 
+use std::sync::PoisonError;
+
 use rusqlite::{OptionalExtension, Transaction};
 
 use super::blobs::{BlobId, Pin};
-use super::{Disk, codec, schema, to_json};
+use super::{Disk, codec, open, schema, to_json};
 use crate::jobs::queue::{JobNumber, SceneNumber};
 use crate::store::records::{Accepted, JobRecord, KeyRecord, LightRecord, SceneRecord};
 use crate::store::versions::FIRST_RESERVE;
@@ -12,6 +14,11 @@ use crate::store::{Store, StoreError};
 impl Store for Disk {
     fn is_durable(&self) -> bool {
         true
+    }
+
+    fn close(&self) {
+        self.connection().take();
+        self.lock.lock().unwrap_or_else(PoisonError::into_inner).take();
     }
 
     fn scene_created(
@@ -97,7 +104,7 @@ impl Store for Disk {
 
     fn versions_reserved(&self, scene: SceneNumber, version: u64) -> Result<(), StoreError> {
         self.transact(|t| {
-            let sql = "UPDATE scenes SET reserved = max(reserved, ?2) WHERE number = ?1";
+            let sql = "UPDATE scenes SET reserved = ?2 WHERE number = ?1";
             t.execute(sql, (scene as i64, version as i64))?;
             Ok(())
         })
@@ -144,7 +151,8 @@ impl Disk {
                 let sql = "SELECT EXISTS (SELECT 1 FROM scenes WHERE blob = ?1)
                     OR EXISTS (SELECT 1 FROM assets WHERE id = ?1)
                     OR EXISTS (SELECT 1 FROM light WHERE map = ?1 OR changed = ?1 OR lit = ?1)";
-                Ok(self.connection().query_row(sql, [id], |row| row.get(0))?)
+                let connection = self.connection();
+                Ok(open(&connection)?.query_row(sql, [id], |row| row.get(0))?)
             });
         }
     }
