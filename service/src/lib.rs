@@ -5,12 +5,15 @@
 //! Nothing but `server` and `api` knows HTTP, and no light is computed on an async thread.
 
 pub mod api;
+pub mod auth;
 pub mod client;
 mod compute;
 pub mod config;
 pub mod engine;
 mod events;
 pub mod jobs;
+mod memory;
+mod metrics;
 mod restore;
 mod saving;
 pub mod server;

@@ -74,6 +74,7 @@ impl App {
 
     pub(crate) fn note_unsaved(&self, scene: &SceneEntry, error: &StoreError) {
         tracing::error!(scene = scene.id, %error, "the light could not be saved");
+        self.metrics.unsaved.inc();
         scene.set_error(Some(format!("the light map could not be saved: {}", error.reason)));
     }
 }

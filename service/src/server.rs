@@ -10,6 +10,7 @@ use hyper_util::server::graceful::{GracefulShutdown, Watcher};
 use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio_io_timeout::TimeoutStream;
 
 use crate::api;
 use crate::config::Config;
@@ -71,7 +72,11 @@ async fn connection(
     let mut builder = Builder::new(TokioExecutor::new());
     builder.http1().timer(TokioTimer::new()).header_read_timeout(app.config.timeouts.header);
     builder.http2().timer(TokioTimer::new()).keep_alive_interval(app.config.timeouts.keep_alive);
-    let served = builder.serve_connection(TokioIo::new(stream), TowerToHyperService::new(router)).into_owned();
+    // A client that takes nothing in for so long holds a connection and what is queued for it: it may come back.
+    let mut stream = TimeoutStream::new(stream);
+    stream.set_write_timeout(Some(app.config.timeouts.write));
+    let io = TokioIo::new(Box::pin(stream));
+    let served = builder.serve_connection(io, TowerToHyperService::new(router)).into_owned();
     if let Err(error) = watcher.watch(served).await {
         tracing::debug!(error = %error, "connection");
     }

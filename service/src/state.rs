@@ -2,12 +2,14 @@
 
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 
 use tokio::sync::{Semaphore, watch};
 
 use crate::compute::Compute;
 use crate::config::Config;
 use crate::jobs::Jobs;
+use crate::metrics::Metrics;
 use crate::restore;
 use crate::store::assets::Assets;
 use crate::store::disk::Disk;
@@ -50,6 +52,9 @@ pub(crate) struct App {
     pub(crate) uploads: Arc<Semaphore>,
     /// Open event and delta streams.
     pub(crate) streams: Arc<Semaphore>,
+    /// Bytes of scenes that are being built.
+    pub(crate) promised_memory: AtomicU64,
+    pub(crate) metrics: Metrics,
     /// Ids of this life's events rise from the one after it.
     pub(crate) first_event: u64,
 }
@@ -83,6 +88,8 @@ impl App {
             phase: watch::Sender::new(Phase::Serving),
             uploads: Arc::new(Semaphore::new(limits.concurrent_uploads)),
             streams: Arc::new(Semaphore::new(limits.streams)),
+            promised_memory: AtomicU64::new(0),
+            metrics: Metrics::default(),
             first_event,
             config,
         }))

@@ -1,5 +1,6 @@
 //! The service over HTTP: the real server on a free port.
 
+mod access;
 mod crash;
 mod deltas;
 mod durable;

@@ -9,6 +9,7 @@ mod edits;
 mod elements;
 mod events;
 mod extract;
+mod guard;
 mod health;
 mod job_types;
 mod jobs;
@@ -21,12 +22,16 @@ mod trace;
 pub mod types;
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::Router;
 use axum::extract::State;
-use axum::middleware::from_fn;
+use axum::http::{HeaderName, Method};
+use axum::middleware::from_fn_with_state;
 use axum::response::IntoResponse;
 use axum::routing::{get, post};
+
+use tower_http::cors::{AllowOrigin, Any, CorsLayer};
 
 pub use openapi::document;
 pub(crate) use scenes::next_seed;
@@ -57,15 +62,35 @@ pub(crate) fn router(app: Arc<App>) -> Router {
         .route("/v1/jobs/{job}/events", get(events::of_job))
         .route("/healthz", get(health::alive))
         .route("/readyz", get(health::ready))
-        .route("/metrics", get(health::not_implemented))
+        .route("/metrics", get(health::metrics))
         .route("/openapi.json", get(openapi::get))
         .route("/problems/{slug}", get(health::problem))
         .fallback(|| async { Problem::new(Kind::NotFound, "there is nothing at this path").into_response() })
         .method_not_allowed_fallback(|| async {
             Problem::new(Kind::MethodNotAllowed, "this path does not take this method").into_response()
         })
-        .layer(from_fn(trace::requests))
+        .layer(from_fn_with_state(app.clone(), guard::requests))
+        .layer(cors(&app.config.cors_origins))
+        .layer(from_fn_with_state(app.clone(), trace::requests))
         .with_state(app)
+}
+
+/// Which pages of other origins a browser lets call the API: none unless configured.
+fn cors(origins: &[String]) -> CorsLayer {
+    let origin = match origins.iter().any(|origin| origin == "*") {
+        true => AllowOrigin::any(),
+        false => AllowOrigin::list(origins.iter().filter_map(|origin| origin.parse().ok())),
+    };
+    if origins.is_empty() {
+        return CorsLayer::new();
+    }
+    let exposed = ["etag", "location", "retry-after", "x-rebake-version", "x-request-id", "content-encoding"];
+    CorsLayer::new()
+        .allow_origin(origin)
+        .allow_methods([Method::GET, Method::POST, Method::DELETE])
+        .allow_headers(Any)
+        .expose_headers(exposed.map(HeaderName::from_static))
+        .max_age(Duration::from_secs(3600))
 }
 
 /// A scene that can be worked with, by its id.

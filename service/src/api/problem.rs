@@ -130,6 +130,8 @@ kinds! {
     InvalidJson "invalid-json" BAD_REQUEST "Invalid JSON" "The body is not JSON, or not of the expected shape.";
     InvalidQuery "invalid-query" BAD_REQUEST "Invalid query" "A query parameter is unknown, malformed or out of range.";
     MalformedFile "malformed-file" BAD_REQUEST "Malformed file" "The uploaded file is not a valid binary glTF.";
+    Unauthorized "unauthorized" UNAUTHORIZED "Unauthorized" "The call needs a bearer token that the service knows.";
+    Forbidden "forbidden" FORBIDDEN "Forbidden" "The token's scopes do not allow this call.";
     NotFound "not-found" NOT_FOUND "Not found" "There is nothing at this path.";
     UnknownScene "unknown-scene" NOT_FOUND "Unknown scene" "There is no such scene, or it was deleted.";
     UnknownJob "unknown-job" NOT_FOUND "Unknown job" "There is no such job, or it ended long ago and was forgotten.";
@@ -138,6 +140,7 @@ kinds! {
     NameTaken "name-taken" CONFLICT "Name taken" "The scene has something of that name already.";
     JobEnded "job-ended" CONFLICT "Job ended" "The job has ended and cannot be canceled.";
     TooManyScenes "too-many-scenes" CONFLICT "Too many scenes" "The service holds as many scenes as it may; delete one.";
+    NoMemory "no-memory" CONFLICT "Not enough memory" "The scene does not fit beside the others; delete one, or choose a larger spacing.";
     TooManyAssets "too-many-assets" CONFLICT "Too many assets" "The service holds as many assets, or bytes of assets, as it may.";
     VersionAhead "version-ahead" CONFLICT "Version ahead" "The client's version is newer than the scene's: it belongs to something else. Start over from version 0.";
     PreconditionFailed "precondition-failed" PRECONDITION_FAILED "Precondition failed" "The scene has moved on to another version than If-Match names.";

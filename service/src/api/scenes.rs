@@ -24,6 +24,7 @@ use super::{Shared, etag, find_any_scene, require_serving};
 use crate::engine::{self, LoadError, SurfaceError, World, WorldError};
 use crate::jobs::queue::{Full, JobKind, Priority};
 use crate::jobs::{JobSpec, new_record};
+use crate::memory;
 use crate::state::App;
 use crate::store::records::SceneRecord;
 use crate::store::scenes::{NewScene, Reservation, SceneEntry};
@@ -195,6 +196,15 @@ fn build_world(app: &App, glb: &Bytes, spacing: Option<f32>, environment: Option
         let reason = "the file has a light named \"environment\" already";
         return Err(Problem::field(Kind::NameTaken, "environment", reason));
     }
+    let bytes = memory::estimate(&scene, spacing);
+    let limit = app.config.limits.memory_bytes;
+    let _promise = app.promise_memory(bytes).map_err(|free| {
+        let text = format!("the scene would take about {} MiB", bytes >> 20);
+        match bytes > limit {
+            true => Problem::new(Kind::SceneTooLarge, format!("{text}, the service has {} MiB", limit >> 20)),
+            false => Problem::new(Kind::NoMemory, format!("{text}, {} MiB are free", free >> 20)),
+        }
+    })?;
     engine::build(scene, spacing, &app.config.limits).map_err(|error| match error {
         WorldError::TooLarge { .. } | WorldError::Surface { source: SurfaceError::TooManyElements { .. }, .. } => {
             Problem::new(Kind::SceneTooLarge, error.to_string())

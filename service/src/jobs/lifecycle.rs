@@ -10,6 +10,7 @@ use super::scheduler::{self, Decision};
 use super::{State, Stop, worker};
 use crate::api::types;
 use crate::engine::Progress;
+use crate::metrics::{JobEnd, Metrics};
 use crate::state::App;
 use crate::store::StoreError;
 use crate::store::lighting::Sequence;
@@ -212,6 +213,7 @@ impl App {
             samples_per_element: progress.map(|progress| progress.samples_per_element),
             estimated_rmse: published.estimated_rmse.and_then(types::finite),
         };
+        self.metrics.versions.inc();
         let data = types::to_event_data(&event);
         if let Some(log) = job.and_then(|number| self.jobs.events(number)) {
             log.push("snapshot", data.clone());
@@ -245,6 +247,7 @@ impl App {
         }
         let mut state = self.jobs.lock();
         for job in state.queue.finish(number, outcome, now) {
+            state.queue.get(job).into_iter().for_each(|ended| count_end(&self.metrics, ended));
             match state.queue.get(job).is_some_and(|job| job.state.has_ended()) {
                 true => state.ended(self, job),
                 false => state.tell(self, job),
@@ -290,4 +293,16 @@ impl App {
         }
         self.jobs.running.send_replace(state.queue.running());
     }
+}
+
+fn count_end(metrics: &Metrics, job: &Job) {
+    // Jobs that did not run themselves have no duration.
+    let (Some(started_at), Some(finished_at)) = (job.started_at, job.finished_at) else { return };
+    metrics.job_ended(&JobEnd {
+        kind: job.kind,
+        state: job.state,
+        wait_seconds: started_at.duration_since(job.created_at).as_secs_f64(),
+        seconds: finished_at.duration_since(started_at).as_secs_f64(),
+        rays: job.progress.rays,
+    });
 }
