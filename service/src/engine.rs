@@ -2,6 +2,7 @@
 //!
 //! [`Engine`] is the seam for tests: a stand-in can stop at a round, fail or panic, on real worlds.
 
+use std::collections::BTreeMap;
 use std::fmt::Debug;
 use std::sync::Arc;
 
@@ -10,7 +11,7 @@ use rebake_core::export::{EXR_WIDTH, write_exr};
 use rebake_core::scene::{Light, LightKind, LoadLimits, load_glb};
 pub use rebake_core::scene::{LoadError, Scene};
 pub use rebake_core::surface::SurfaceError;
-pub use rebake_core::{Budget, Canceled, Edit, EditError, EditErrorKind, LightMap, Observer, Progress};
+pub use rebake_core::{Budget, Canceled, Edit, EditError, EditErrorKind, LightMap, Observer, Progress, Relight};
 pub use rebake_core::{Transition, World, WorldError};
 
 use crate::config::Limits;
@@ -143,6 +144,28 @@ pub(crate) fn empty_world(spacing: f32) -> World {
 /// The old map with the slots of the new world.
 pub(crate) fn carry_over(transition: &Transition, map: &LightMap) -> Arc<LightMap> {
     Arc::new(transition.carry_over(map))
+}
+
+/// Whether every object has the same slots in both worlds. Where it has, a map of the shorter world is one of the
+/// longer, followed by holes.
+pub(crate) fn have_same_slots(short: &World, long: &World) -> bool {
+    let slots = |world: &World| -> BTreeMap<String, (u32, u32, bool)> {
+        let slots = |object: ObjectSummary| (object.name, (object.first_element, object.elements, object.with_back));
+        objects(world).map(slots).collect()
+    };
+    short.slots() <= long.slots() && slots(short) == slots(long)
+}
+
+/// A map with holes at its end, up to `slots`.
+pub(crate) fn lengthened(map: &Arc<LightMap>, slots: usize) -> Arc<LightMap> {
+    if map.len() >= slots {
+        return map.clone();
+    }
+    let mut longer = LightMap::clone(map);
+    longer.direct.resize(slots, Vec3::ZERO);
+    longer.indirect.resize(slots, Vec3::ZERO);
+    longer.variance.resize(slots, 0.0);
+    Arc::new(longer)
 }
 
 /// One object, as clients see it.

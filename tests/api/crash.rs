@@ -58,10 +58,14 @@ impl Service {
         panic!("the service did not start: {said:?}");
     }
 
-    fn kill(mut self) {
-        // SIGKILL: nothing of the process runs any more.
-        self.child.kill().unwrap();
-        self.child.wait().unwrap();
+    fn kill(self) {}
+}
+
+impl Drop for Service {
+    fn drop(&mut self) {
+        // SIGKILL: nothing of the process runs any more. Also where a check failed.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
 }
 

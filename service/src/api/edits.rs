@@ -16,7 +16,7 @@ use super::scenes::{full_problem, next_seed};
 use super::types::{Job, to_event_data};
 use super::{Shared, find_scene, require_serving};
 use crate::engine::{Edit, EditError, EditErrorKind};
-use crate::jobs::queue::{JobKind, Priority};
+use crate::jobs::queue::JobKind;
 use crate::jobs::{JobSpec, new_record};
 use crate::state::App;
 use crate::store::lighting::Unlit;
@@ -105,7 +105,7 @@ fn read_request(app: &App, head: &Head, body: &[u8]) -> ApiResult<Request> {
     let edits = to_edits(&parsed, &app.assets, limits.name_chars)?;
     let budget = to_budget(parsed.budget, "budget", app.config.defaults.edit_samples, &app.config)?;
     let focus = parsed.focus.as_ref().map(|focus| to_focus(focus, &head.world)).transpose()?;
-    let priority = Priority::Normal;
+    let priority = parsed.priority.into();
     let spec = JobSpec { kind: JobKind::Edit, priority, budget, focus, seed: 0, sequence: head.sequence };
     Ok(Request { parsed, edits, spec })
 }

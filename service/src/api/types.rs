@@ -7,7 +7,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-pub use super::job_types::{Job, JobKind, JobProgress, JobState};
+pub use super::job_types::{Job, JobKind, JobPriority, JobProgress, JobState};
 use crate::engine;
 use crate::store::versions::{Layer, Mode};
 

@@ -5,9 +5,10 @@ use std::sync::Arc;
 use jiff::Timestamp;
 use rayon::ThreadPool;
 
-use super::queue::{Change, Full, Job, JobNumber, JobProgress, JobState, Outcome, SceneNumber};
+use super::observer::JobBudget;
+use super::queue::{Change, Full, Job, JobKind, JobNumber, JobProgress, JobState, Outcome, SceneNumber};
 use super::scheduler::{self, Decision};
-use super::{State, Stop, worker};
+use super::{State, Stop, merge, worker};
 use crate::api::types;
 use crate::engine::Progress;
 use crate::metrics::{JobEnd, Metrics};
@@ -280,18 +281,57 @@ impl App {
             && let Decision::Start(number) = scheduler::tick(&state.queue, self.jobs.slots)
         {
             let Some(pool) = state.pools.pop() else { break };
+            let batch = state.batch(number);
+            let number = batch.last().copied().unwrap_or(number);
             if !state.queue.start(number, Timestamp::now()) {
                 state.pools.push(pool);
                 break;
             }
             state.tell(self, number);
+            let budgets: Vec<JobBudget> =
+                batch.iter().filter_map(|job| Some(state.handles.get(job)?.spec.budget)).collect();
+            for other in batch.into_iter().filter(|other| *other != number) {
+                state.queue.merge(other, number);
+                state.tell(self, other);
+            }
             let Some(handle) = state.handles.get_mut(&number) else { break };
             let Some(scene) = handle.scene.clone() else { break };
             handle.stop = Arc::new(Stop::default());
-            let run = worker::Run { job: number, scene, stop: handle.stop.clone(), spec: handle.spec.clone() };
+            let mut spec = handle.spec.clone();
+            spec.budget = budgets.into_iter().fold(spec.budget, JobBudget::both);
+            let run = worker::Run { job: number, scene, stop: handle.stop.clone(), spec };
             worker::spawn(self.clone(), run, &pool);
         }
         self.jobs.running.send_replace(state.queue.running());
+    }
+}
+
+impl State {
+    /// The job with those behind it on its scene that are better lit together with it: the last of them does the work.
+    fn batch(&self, first: JobNumber) -> Vec<JobNumber> {
+        let mut batch = vec![first];
+        let Some((job, handle)) = self.queue.get(first).zip(self.handles.get(&first)) else { return batch };
+        let Some(scene) = handle.scene.as_ref().filter(|_| job.kind == JobKind::Edit) else { return batch };
+        let unlit = scene.unlit_edits();
+        let upto = |after: Sequence, last: Sequence| {
+            let due = unlit.iter().filter(move |(sequence, _)| (after + 1..=last).contains(sequence));
+            due.flat_map(|(_, edits)| edits.iter().cloned()).collect::<Vec<_>>()
+        };
+        let mut last = handle.spec.sequence;
+        let mut edits = merge::simplify(upto(0, last));
+        let behind = self.queue.iter().filter(|other| other.scene == job.scene && other.number > first);
+        for other in behind.filter(|other| other.is_in_line()) {
+            let Some(handle) = self.handles.get(&other.number).filter(|_| other.kind == JobKind::Edit) else { break };
+            let next = upto(last, handle.spec.sequence);
+            let apart = edits.len() + merge::count(&next);
+            let together = merge::simplify(edits.iter().cloned().chain(next));
+            if together.len() >= apart {
+                break;
+            }
+            (edits, last) = (together, handle.spec.sequence);
+            batch.push(other.number);
+        }
+        batch
     }
 }
 

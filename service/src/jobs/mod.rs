@@ -3,6 +3,7 @@
 
 pub mod job;
 mod lifecycle;
+pub(crate) mod merge;
 pub(crate) mod observer;
 pub mod queue;
 pub mod scheduler;

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Stop;
 use super::queue::{JobNumber, JobProgress};
-use crate::engine::{LightMap, Observer, Progress};
+use crate::engine::{LightMap, Observer, Progress, lengthened};
 use crate::state::App;
 use crate::store::lighting::{Lit, Sequence};
 use crate::store::scenes::SceneEntry;
@@ -19,6 +19,17 @@ pub(crate) struct JobBudget {
     pub(crate) samples_per_element: u32,
     pub(crate) max_seconds: Option<f64>,
     pub(crate) target_rmse: Option<f32>,
+}
+
+impl JobBudget {
+    /// A budget that is used up when both are.
+    pub(crate) fn both(self, other: JobBudget) -> JobBudget {
+        JobBudget {
+            samples_per_element: self.samples_per_element.max(other.samples_per_element),
+            max_seconds: self.max_seconds.zip(other.max_seconds).map(|(a, b)| a.max(b)),
+            target_rmse: self.target_rmse.zip(other.target_rmse).map(|(a, b)| a.min(b)),
+        }
+    }
 }
 
 /// Decides how large a round may be so that a job ends on time.
@@ -84,6 +95,12 @@ pub(crate) fn fraction(budget: &JobBudget, progress: &Progress, elapsed_secs: f6
     if fraction.is_finite() { fraction.clamp(0.0, 1.0) } else { 0.0 }
 }
 
+/// Time to the end at the pace so far; none while that says nothing.
+fn remaining_ms(fraction: f64, elapsed: Duration) -> Option<u64> {
+    const MEASURED: f64 = 0.02;
+    (fraction >= MEASURED).then(|| (elapsed.as_secs_f64() * 1e3 * (1.0 - fraction) / fraction) as u64)
+}
+
 /// Observes one job, one transition (or bake) after the other.
 pub(crate) struct JobObserver<'a> {
     pub(crate) app: &'a Arc<App>,
@@ -94,6 +111,8 @@ pub(crate) struct JobObserver<'a> {
     pub(crate) started: Instant,
     /// What the maps of the work under way are right for.
     pub(crate) sequence: Sequence,
+    /// Length of the maps that are published: edits that were merged may need less.
+    pub(crate) slots: usize,
     state: Mutex<State>,
     /// There is a complete map, so time may end the work.
     complete: AtomicBool,
@@ -128,6 +147,7 @@ impl<'a> JobObserver<'a> {
             stop,
             started: Instant::now(),
             sequence: 0,
+            slots: 0,
             state: Mutex::default(),
             complete: AtomicBool::new(false),
         }
@@ -168,15 +188,16 @@ impl<'a> JobObserver<'a> {
 
     fn report(&self, progress: &Progress, version: Option<u64>) {
         let elapsed = self.elapsed();
+        let fraction = fraction(&self.budget, progress, elapsed.as_secs_f64());
         let report = JobProgress {
-            fraction: fraction(&self.budget, progress, elapsed.as_secs_f64()),
+            fraction,
             pass: Some(progress.pass.as_str()),
             samples_per_element: progress.samples_per_element,
             elapsed_ms: elapsed.as_millis() as u64,
             estimated_rmse: progress.estimated_rmse,
             rays: progress.rays,
             version,
-            remaining_ms: None,
+            remaining_ms: remaining_ms(fraction, elapsed),
         };
         self.app.report(self.job, report);
     }
@@ -216,6 +237,7 @@ impl Observer for JobObserver<'_> {
     }
 
     fn snapshot(&self, map: &Arc<LightMap>, progress: &Progress) {
+        let map = &lengthened(map, self.slots);
         {
             let mut state = self.lock();
             // Before the first finished round the map is only carried over.

@@ -112,10 +112,10 @@ fn progress_never_falls() {
 }
 
 /// A small generator: the test needs variety, not quality.
-struct Dice(u64);
+pub(super) struct Dice(pub(super) u64);
 
 impl Dice {
-    fn roll(&mut self, sides: u64) -> u64 {
+    pub(super) fn roll(&mut self, sides: u64) -> u64 {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 33) % sides
     }
@@ -183,4 +183,81 @@ fn check(queue: &Queue) {
         assert_eq!(job.finished_at.is_some(), job.state.has_ended(), "{queue}");
         assert!((0.0..=1.0).contains(&job.progress.fraction));
     }
+}
+
+#[test]
+fn merged_jobs_end_as_the_one_that_does_their_work() {
+    let mut queue = queue(10, 10, 10);
+    let (first, second) = (edit(&mut queue, 1), edit(&mut queue, 1));
+    let other = edit(&mut queue, 2);
+    assert!(!queue.merge(first, second), "it does not run");
+    assert!(queue.start(second, NOW));
+    assert!(queue.merge(first, second) && !queue.merge(first, second) && !queue.merge(other, second));
+    assert_eq!(start_all(&mut queue, 9), [other]);
+    assert_eq!(queue.to_string(), "1 scene 1 edit queued (in 2)\n2 scene 1 edit running\n3 scene 2 edit running\n");
+    // Interrupted: both wait again, in their old order.
+    assert_eq!(queue.pause(second), Change::Requested);
+    assert_eq!(queue.finish(second, &Outcome::Interrupted, NOW), [second, first]);
+    assert_eq!(queue.to_string(), "1 scene 1 edit queued\n2 scene 1 edit paused\n3 scene 2 edit running\n");
+    assert_eq!(queue.resume(second), Change::Done);
+    assert_eq!(start_all(&mut queue, 9), [first]);
+    assert!(queue.merge(second, first));
+    let preview: Vec<_> =
+        queue.preview_finish(first, &Outcome::Succeeded, NOW).iter().map(|job| (job.number, job.state)).collect();
+    assert_eq!(preview, [(first, JobState::Succeeded), (second, JobState::Succeeded)]);
+    assert!(finish(&mut queue, first, Outcome::Succeeded));
+    assert_eq!(
+        queue.to_string(),
+        "1 scene 1 edit succeeded 100 %\n2 scene 1 edit succeeded (in 1) 100 %\n3 scene 2 edit running\n"
+    );
+}
+
+#[test]
+fn paused_jobs_are_out_of_line_and_count_as_waiting() {
+    let mut queue = queue(2, 10, 10);
+    let first = edit(&mut queue, 1);
+    assert_eq!(queue.pause(first), Change::Done);
+    let second = edit(&mut queue, 1);
+    assert_eq!(queue.promise(1), Err(Full::Scene(2)));
+    assert_eq!(start_all(&mut queue, 9), [second]);
+    assert_eq!(queue.cancel(first, NOW), Change::Done);
+    assert_eq!((queue.pause(first), queue.resume(first)), (Change::Ended, Change::Ended));
+    assert_eq!(queue.waiting(), 0);
+}
+
+#[test]
+fn high_priorities_go_first_but_nothing_waits_for_ever() {
+    let mut queue = queue(100, 100, 100);
+    let low = push(&mut queue, 1, JobKind::Edit, Priority::Low).unwrap();
+    let mut starts = 0;
+    loop {
+        // There is always something more urgent, of a scene of its own.
+        push(&mut queue, 100 + starts, JobKind::Edit, Priority::High).unwrap();
+        let Decision::Start(job) = tick(&queue, 1) else { panic!("something waits") };
+        queue.start(job, NOW);
+        finish(&mut queue, job, Outcome::Succeeded);
+        if job == low {
+            break;
+        }
+        starts += 1;
+        assert!(starts < 50, "it waits for ever");
+    }
+    assert!(starts >= 8, "after {starts}");
+}
+
+#[test]
+fn jobs_of_an_earlier_life_wait_again() {
+    let mut queue = queue(10, 10, 10);
+    for (number, state) in (1..).zip(JobState::ALL) {
+        let mut job = Job::new(number, 1, JobKind::Edit, Priority::Normal, NOW);
+        (job.state, job.pause_requested) = (state, state == JobState::Paused);
+        queue.restore(job);
+    }
+    assert_eq!(
+        queue.to_string(),
+        "1 scene 1 edit queued\n2 scene 1 edit queued\n3 scene 1 edit paused\n4 scene 1 edit succeeded\n\
+         5 scene 1 edit failed\n6 scene 1 edit canceled\n"
+    );
+    assert_eq!(queue.promise(1), Ok(7));
+    assert_eq!(queue.waiting(), 4);
 }

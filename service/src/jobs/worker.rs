@@ -6,11 +6,11 @@ use rayon::ThreadPool;
 
 use super::observer::JobObserver;
 use super::queue::{JobNumber, Outcome};
-use super::{JobSpec, Stop};
+use super::{JobSpec, Stop, merge};
 use crate::compute::catching;
-use crate::engine::{Budget, Canceled, LightMap, Update};
+use crate::engine::{Budget, Canceled, LightMap, Transition, Update, carry_over, have_same_slots, lengthened};
 use crate::state::App;
-use crate::store::lighting::{Sequence, Work};
+use crate::store::lighting::{Sequence, Unlit, Work};
 use crate::store::scenes::SceneEntry;
 
 /// A job that starts.
@@ -86,22 +86,30 @@ fn light(app: &Arc<App>, run: &Run) -> Outcome {
     match work {
         Work::Bake(world) => {
             observer.begin(shown, floor);
+            observer.slots = world.slots();
             let result = engine.bake(&world, &budget, spec.seed, &observer);
             settle_end(&observer, scene, shown, result).map_or_else(|outcome| outcome, |_| Outcome::Succeeded)
         }
         Work::Update(mut map, due) => {
-            let last = due.len().saturating_sub(1);
-            for (i, unlit) in due.into_iter().enumerate() {
-                observer.begin(unlit.sequence, floor.filter(|_| i == last));
+            let steps = steps(due);
+            let last = steps.len().saturating_sub(1);
+            for (i, step) in steps.into_iter().enumerate() {
+                observer.begin(step.sequence, floor.filter(|_| i == last));
+                observer.slots = step.slots;
+                let Some(transition) = &step.transition else {
+                    map = step.carries.iter().fold(map, |map, transition| carry_over(transition, &map));
+                    scene.set_lit(step.sequence, map.clone());
+                    continue;
+                };
                 let work = Update {
-                    transition: &unlit.transition,
+                    transition,
                     map: &map,
                     budget: &budget,
                     focus: spec.focus.as_ref().filter(|_| i == last),
                     seed: spec.seed.wrapping_add(i as u64),
                 };
-                let result = engine.update(&work, &observer);
-                match settle_end(&observer, scene, unlit.sequence, result) {
+                let result = engine.update(&work, &observer).map(|map| lengthened(&map, step.slots));
+                match settle_end(&observer, scene, step.sequence, result) {
                     Ok(lit) => map = lit,
                     Err(outcome) => return outcome,
                 }
@@ -109,6 +117,56 @@ fn light(app: &Arc<App>, run: &Run) -> Outcome {
             Outcome::Succeeded
         }
     }
+}
+
+/// One piece of work on the way to an up-to-date map.
+struct Step {
+    /// What the map is right for then.
+    sequence: Sequence,
+    /// Length of the map then.
+    slots: usize,
+    /// None where all edits together change nothing.
+    transition: Option<Arc<Transition>>,
+    /// From where the map is to there, without light.
+    carries: Vec<Arc<Transition>>,
+}
+
+/// What is due, in as few steps as give the same result.
+fn steps(due: Vec<Unlit>) -> Vec<Step> {
+    if let Some(step) = merged(&due) {
+        return vec![step];
+    }
+    let each = |unlit: Unlit| Step {
+        sequence: unlit.sequence,
+        slots: unlit.transition.after.slots(),
+        transition: Some(unlit.transition),
+        carries: Vec::new(),
+    };
+    due.into_iter().map(each).collect()
+}
+
+/// All that is due as one step, where fewer edits do the same.
+fn merged(due: &[Unlit]) -> Option<Step> {
+    let [first, .., last] = due else { return None };
+    let edits: Vec<_> = due.iter().flat_map(|unlit| unlit.edits.iter().cloned()).collect();
+    let count = merge::count(&edits);
+    let fewer = merge::simplify(edits);
+    if fewer.len() >= count {
+        return None;
+    }
+    let after = &last.transition.after;
+    let transition = match fewer.is_empty() {
+        true => None,
+        false => {
+            let transition = first.transition.before.apply(&fewer).ok()?;
+            // Clients know the slots that the edits had one by one.
+            have_same_slots(&transition.after, after).then_some(())?;
+            Some(Arc::new(transition))
+        }
+    };
+    tracing::info!(edits = count, lit = fewer.len(), "merged");
+    let carries = due.iter().map(|unlit| unlit.transition.clone()).collect();
+    Some(Step { sequence: last.sequence, slots: after.slots(), transition, carries })
 }
 
 /// Takes over the map that a piece of work ends with, if it ends with one that is right. A job out of time ends well

@@ -45,8 +45,10 @@ impl Store for Disk {
             let mut files = light_files(t, number)?;
             let sql = "SELECT blob FROM scenes WHERE number = ?1";
             files.extend(t.query_row(sql, [number], |row| row.get::<_, BlobId>(0)).optional()?);
-            // Jobs that are open end with their scene; those that have ended are remembered as ever.
-            t.execute("DELETE FROM jobs WHERE scene = ?1 AND is_open", [number])?;
+            // Jobs that are open end with their scene.
+            let sql = "UPDATE jobs SET is_open = 0, record = json_set(record, '$.job.state', 'Canceled',
+                '$.job.finished_at', ?2) WHERE scene = ?1 AND is_open";
+            t.execute(sql, (number, jiff::Timestamp::now().to_string()))?;
             t.execute("DELETE FROM scenes WHERE number = ?1", [number])?;
             Ok(files)
         })?;
