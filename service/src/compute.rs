@@ -62,6 +62,11 @@ impl Compute {
         run_on(&self.pictures, task).await
     }
 
+    /// Runs a task that may take seconds here and now; for the start of the service.
+    pub(crate) fn install<T: Send>(&self, task: impl FnOnce() -> T + Send) -> T {
+        self.builds.install(task)
+    }
+
     /// Runs a task that may take seconds; nobody waits for it.
     pub(crate) fn spawn(&self, task: impl FnOnce() + Send + 'static) {
         self.builds.spawn(move || {

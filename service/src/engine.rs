@@ -2,6 +2,7 @@
 //!
 //! [`Engine`] is the seam for tests: a stand-in can stop at a round, fail or panic, on real worlds.
 
+use std::collections::BTreeMap;
 use std::fmt::Debug;
 use std::sync::Arc;
 
@@ -10,7 +11,7 @@ use rebake_core::export::{EXR_WIDTH, write_exr};
 use rebake_core::scene::{Light, LightKind, LoadLimits, load_glb};
 pub use rebake_core::scene::{LoadError, Scene};
 pub use rebake_core::surface::SurfaceError;
-pub use rebake_core::{Budget, Canceled, Edit, EditError, EditErrorKind, Focus, LightMap, Observer, Progress};
+pub use rebake_core::{Budget, Canceled, Edit, EditError, EditErrorKind, Focus, LightMap, Observer, Progress, Relight};
 pub use rebake_core::{Transition, World, WorldError};
 
 use crate::config::Limits;
@@ -99,9 +100,46 @@ pub(crate) fn build(scene: Scene, spacing: Option<f32>, limits: &Limits) -> Resu
     World::new(scene, &options)
 }
 
+/// A world without anything in it: what is shown of a scene that cannot be built.
+pub(crate) fn empty_world(spacing: f32) -> World {
+    let scene = Scene {
+        origin: DVec3::ZERO,
+        objects: Vec::new(),
+        lights: Vec::new(),
+        cameras: Vec::new(),
+        warnings: Vec::new(),
+        degenerate_triangles: 0,
+    };
+    let options = rebake_core::WorldOptions { spacing: Some(spacing), ..rebake_core::WorldOptions::default() };
+    // Nothing can be too large or malformed.
+    World::new(scene, &options).expect("an empty scene can be built")
+}
+
 /// The old map with the slots of the new world.
 pub(crate) fn carry_over(transition: &Transition, map: &LightMap) -> Arc<LightMap> {
     Arc::new(transition.carry_over(map))
+}
+
+/// Whether every object has the same slots in both worlds. Where it has, a map of the shorter world is one of the
+/// longer, followed by holes.
+pub(crate) fn have_same_slots(short: &World, long: &World) -> bool {
+    let slots = |world: &World| -> BTreeMap<String, (u32, u32, bool)> {
+        let slots = |object: ObjectSummary| (object.name, (object.first_element, object.elements, object.with_back));
+        objects(world).map(slots).collect()
+    };
+    short.slots() <= long.slots() && slots(short) == slots(long)
+}
+
+/// A map with holes at its end, up to `slots`.
+pub(crate) fn lengthened(map: &Arc<LightMap>, slots: usize) -> Arc<LightMap> {
+    if map.len() >= slots {
+        return map.clone();
+    }
+    let mut longer = LightMap::clone(map);
+    longer.direct.resize(slots, Vec3::ZERO);
+    longer.indirect.resize(slots, Vec3::ZERO);
+    longer.variance.resize(slots, 0.0);
+    Arc::new(longer)
 }
 
 /// One object, as clients see it.
@@ -148,6 +186,11 @@ pub(crate) fn element_records(world: &World) -> Vec<u8> {
         bytes.extend_from_slice(&object.to_le_bytes());
     }
     bytes
+}
+
+/// A hash of all elements: two worlds with the same one have the same slots, bit for bit.
+pub(crate) fn layout_hash(world: &World) -> String {
+    blake3::hash(&element_records(world)).to_hex().to_string()
 }
 
 /// The subdivided mesh with the values as vertex colours, as binary glTF.

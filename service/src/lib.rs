@@ -6,6 +6,7 @@
 //! Nothing but `server` and `api` knows HTTP, and no light is computed on an async thread.
 
 pub mod api;
+pub mod auth;
 pub mod bench;
 pub mod client;
 mod compute;
@@ -13,7 +14,11 @@ pub mod config;
 pub mod engine;
 mod events;
 pub mod jobs;
+mod memory;
+mod metrics;
 pub mod pictures;
+mod restore;
+mod saving;
 pub mod server;
 mod state;
 mod store;
@@ -21,3 +26,4 @@ pub mod viewer;
 
 pub use config::Config;
 pub use server::run;
+pub use store::faults;

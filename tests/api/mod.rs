@@ -1,7 +1,10 @@
 //! The service over HTTP: the real server on a free port.
 
+mod access;
 mod browser;
+mod crash;
 mod deltas;
+mod durable;
 mod edits;
 mod engine;
 mod errors;

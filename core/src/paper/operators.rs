@@ -156,7 +156,7 @@ impl ObjectScene<'_> {
                 }
                 break;
             };
-            if !self.is_object[self.with.geometry.triangles[hit.triangle as usize].part as usize] {
+            if !self.is_object[self.with.geometry.triangles[hit.triangle as usize].part() as usize] {
                 radiance += beta * self.radiance(&ray, &hit, field, rng, rays);
                 break;
             }

@@ -10,7 +10,7 @@ use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
 use crate::scene::LightKind;
 use crate::transport::direct::{below_horizon, one_light, visible_weight};
-use crate::transport::{LightField, Surfel, incoming_light};
+use crate::transport::{Field, Rough, Surfel, incoming_light};
 use crate::world::World;
 
 /// Backs that a camera ray passes through at most.
@@ -18,9 +18,6 @@ const MAX_BACKS: u32 = 64;
 
 /// Up to so many lights each gets a shadow ray per sample; of more, as many are chosen by power.
 const MAX_LIGHTS: usize = 32;
-
-/// Hits nearer than this many spacings are not looked up where a back without elements gathers light.
-const NEAR_SPACINGS: f32 = 2.0;
 
 /// Everything that pixels share.
 pub(super) struct Shading<'a> {
@@ -63,7 +60,7 @@ impl<'a> Shading<'a> {
                 View::Indirect | View::LightMap => Vec3::ZERO,
             };
         };
-        let Some(surfel) = Surfel::new(self.world, &ray, &hit) else { return Vec3::ZERO };
+        let Some(surfel) = Surfel::to_look_up(self.world, &ray, &hit, &mut 0) else { return Vec3::ZERO };
         let emission = self.emission[surfel.part as usize];
         match self.view {
             View::Full => {
@@ -107,7 +104,8 @@ impl<'a> Shading<'a> {
         if let Some(elements) = surfel.elements {
             return surfel.interpolate(elements, &self.map.indirect);
         }
-        let field = LightField { total: &self.totals, near: NEAR_SPACINGS * self.world.spacing };
+        let rough = Rough::default();
+        let field = Field { direct: &self.totals, indirect: &[], rough: &rough };
         let origin = surfel.position + surfel.normal * self.world.epsilon;
         let direction = cosine_hemisphere(surfel.normal, rng.next_2d());
         incoming_light(self.world, &field, origin, direction, rng, &mut 0)
@@ -119,7 +117,7 @@ impl<'a> Shading<'a> {
 pub(super) fn first_front(world: &World, mut ray: Ray) -> Option<(Ray, Hit)> {
     for _ in 0..MAX_BACKS {
         let hit = world.trees.closest_hit(&ray)?;
-        let part = &world.parts[world.geometry.triangles[hit.triangle as usize].part as usize];
+        let part = &world.parts[world.geometry.triangles[hit.triangle as usize].part() as usize];
         if part.double_sided || hit.normal.dot(ray.direction) <= 0.0 {
             return Some((ray, hit));
         }

@@ -69,10 +69,10 @@ pub fn render_values(
         let (ray, hit) = first_front(world, rays.through(x, y, u))?;
         let surfel = Surfel::new(world, &ray, &hit)?;
         let facing = smooth_normal(world, &surfel).dot(ray.direction).abs();
-        let (b, c) = surfel.barycentrics;
-        let value = surfel.elements.map_or(0.0, |[i, j, k]| {
-            values[i as usize] * (1.0 - b - c) + values[j as usize] * b + values[k as usize] * c
-        });
+        let [a, b, c] = surfel.weights;
+        let value = surfel
+            .elements
+            .map_or(0.0, |[i, j, k]| values[i as usize] * a + values[j as usize] * b + values[k as usize] * c);
         Some((value, facing))
     };
     let pixel = |x: usize, y: usize| {

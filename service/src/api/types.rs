@@ -7,7 +7,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-pub use super::job_types::{Job, JobKind, JobProgress, JobState};
+pub use super::job_types::{Job, JobKind, JobPriority, JobProgress, JobState};
 use crate::engine;
 use crate::store::versions::{Layer, Mode};
 
@@ -112,6 +112,8 @@ pub struct Scene {
     /// The job that runs on the scene, else the next one.
     #[schema(example = "j4-k3f9qz")]
     pub current_job: Option<String>,
+    /// What is wrong with it: it is damaged, or its light could not be saved.
+    pub error: Option<String>,
     /// When it was uploaded.
     #[schema(value_type = String, format = DateTime, example = "2026-11-23T09:00:00Z")]
     pub created_at: Timestamp,
@@ -138,6 +140,8 @@ pub struct SceneSummary {
     pub object_count: u64,
     /// The job that runs on the scene, else the next one.
     pub current_job: Option<String>,
+    /// What is wrong with it: it is damaged, or its light could not be saved.
+    pub error: Option<String>,
     /// When it was uploaded.
     #[schema(value_type = String, format = DateTime, example = "2026-11-23T09:00:00Z")]
     pub created_at: Timestamp,

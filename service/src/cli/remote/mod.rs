@@ -27,11 +27,18 @@ pub(super) struct ServerArgs {
     /// Address of the service
     #[arg(long, value_name = "URL", env = "REBAKE_SERVER", default_value = "http://127.0.0.1:7878")]
     server: String,
+    /// Access token, where the service asks for one
+    #[arg(long, value_name = "TOKEN", env = "REBAKE_TOKEN", hide_env_values = true)]
+    token: Option<String>,
 }
 
 impl ServerArgs {
     pub(super) fn client(&self) -> anyhow::Result<Client> {
-        Ok(Client::new(&self.server)?)
+        let client = Client::new(&self.server)?;
+        Ok(match &self.token {
+            Some(token) => client.with_token(token)?,
+            None => client,
+        })
     }
 }
 
