@@ -1,7 +1,7 @@
 //! Threads that compute. Async threads only wait for them.
 //!
-//! Every job slot has a rayon pool of its own, beside one for building worlds (uploads, fresh trees) and one for short
-//! tasks (applying edits, encoding answers). In one shared pool a worker that waits for its part of one bake picks up the next task of the
+//! Every job slot has a rayon pool of its own, beside one for building worlds (uploads, fresh trees), one for pictures
+//! and one for short tasks (applying edits, encoding answers). In one shared pool a worker that waits for its part of one bake picks up the next task of the
 //! injector, which may be the whole of another bake, and sits on the first one until that is over: time budgets and
 //! cancels would depend on strangers. Between pools the operating system shares the cores fairly.
 
@@ -22,11 +22,16 @@ pub(crate) struct Panicked(pub(crate) String);
 pub(crate) struct Compute {
     short: Arc<ThreadPool>,
     builds: Arc<ThreadPool>,
+    pictures: Arc<ThreadPool>,
 }
 
 impl Compute {
     pub(crate) fn new(threads: usize) -> Result<Compute, ThreadPoolBuildError> {
-        Ok(Compute { short: Arc::new(build_pool("short", threads)?), builds: Arc::new(build_pool("build", threads)?) })
+        Ok(Compute {
+            short: Arc::new(build_pool("short", threads)?),
+            builds: Arc::new(build_pool("build", threads)?),
+            pictures: Arc::new(build_pool("picture", threads)?),
+        })
     }
 
     /// Runs a task of milliseconds and waits for it without blocking the async thread. A caller that goes away leaves
@@ -46,6 +51,20 @@ impl Compute {
         F: FnOnce() -> T + Send + 'static,
     {
         run_on(&self.builds, task).await
+    }
+
+    /// Like [`Compute::run`], for pictures: they take seconds too, and wait for no upload.
+    pub(crate) async fn draw<T, F>(&self, task: F) -> Result<T, Panicked>
+    where
+        T: Send + 'static,
+        F: FnOnce() -> T + Send + 'static,
+    {
+        run_on(&self.pictures, task).await
+    }
+
+    /// Runs a task that may take seconds here and now; for the start of the service.
+    pub(crate) fn install<T: Send>(&self, task: impl FnOnce() -> T + Send) -> T {
+        self.builds.install(task)
     }
 
     /// Runs a task that may take seconds; nobody waits for it.

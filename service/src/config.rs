@@ -1,9 +1,12 @@
 //! Every limit of the service in one place. Nothing that a client can make grow is without one.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use crate::auth::Tokens;
 use crate::engine::{CoreEngine, Engine};
+use crate::store::faults::Faults;
 
 /// How the service runs.
 #[derive(Clone, Debug)]
@@ -18,6 +21,14 @@ pub struct Config {
     pub timeouts: Timeouts,
     /// What a client gets that does not ask for anything else.
     pub defaults: Defaults,
+    /// Where scenes, assets, edits and light maps are kept across restarts; none: in memory only.
+    pub data_dir: Option<PathBuf>,
+    /// Who may do what; none: everybody everything.
+    pub tokens: Option<Tokens>,
+    /// Origins whose pages may call the API from a browser; none by default. `*`: all.
+    pub cors_origins: Vec<String>,
+    /// Faults of the data directory, for tests.
+    pub faults: Faults,
     /// What computes light: the engine, or a stand-in for tests.
     pub engine: Arc<dyn Engine>,
 }
@@ -41,6 +52,8 @@ pub struct Limits {
     pub subdivided_triangles: usize,
     /// Elements of a scene.
     pub elements: usize,
+    /// Bytes of memory of all scenes together; one that would not fit is refused before it is built.
+    pub memory_bytes: u64,
     /// Scenes.
     pub scenes: usize,
     /// Assets.
@@ -86,8 +99,12 @@ pub struct Timeouts {
     pub keep_alive: Duration,
     /// From the shutdown signal to the end of the last connection.
     pub shutdown: Duration,
+    /// For a client to take in anything at all of what was sent to it.
+    pub write: Duration,
     /// Between two progress events of one job.
     pub progress: Duration,
+    /// Between two saves of the light of a job that runs.
+    pub save: Duration,
 }
 
 /// What a client gets that does not ask for anything else.
@@ -109,6 +126,10 @@ impl Default for Config {
             limits: Limits::default(),
             timeouts: Timeouts::default(),
             defaults: Defaults::default(),
+            data_dir: None,
+            tokens: None,
+            cors_origins: Vec::new(),
+            faults: Faults::default(),
             engine: Arc::new(CoreEngine),
         }
     }
@@ -125,6 +146,7 @@ impl Default for Limits {
             triangles: 20_000_000,
             subdivided_triangles: 40_000_000,
             elements: 20_000_000,
+            memory_bytes: crate::memory::default_limit(),
             scenes: 64,
             assets: 1024,
             asset_bytes: 4 << 30,
@@ -152,7 +174,9 @@ impl Default for Timeouts {
             upload_slot: Duration::from_secs(60),
             keep_alive: Duration::from_secs(15),
             shutdown: Duration::from_secs(10),
+            write: Duration::from_secs(60),
             progress: Duration::from_millis(100),
+            save: Duration::from_secs(10),
         }
     }
 }

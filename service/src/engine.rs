@@ -2,15 +2,16 @@
 //!
 //! [`Engine`] is the seam for tests: a stand-in can stop at a round, fail or panic, on real worlds.
 
+use std::collections::BTreeMap;
 use std::fmt::Debug;
 use std::sync::Arc;
 
-use glam::{DVec3, Vec3};
+use glam::{DMat4, DVec3, Vec3};
 use rebake_core::export::{EXR_WIDTH, write_exr};
 use rebake_core::scene::{Light, LightKind, LoadLimits, load_glb};
 pub use rebake_core::scene::{LoadError, Scene};
 pub use rebake_core::surface::SurfaceError;
-pub use rebake_core::{Budget, Canceled, Edit, EditError, EditErrorKind, Focus, LightMap, Observer, Progress};
+pub use rebake_core::{Budget, Canceled, Edit, EditError, EditErrorKind, Focus, LightMap, Observer, Progress, Relight};
 pub use rebake_core::{Transition, World, WorldError};
 
 use crate::config::Limits;
@@ -99,9 +100,46 @@ pub(crate) fn build(scene: Scene, spacing: Option<f32>, limits: &Limits) -> Resu
     World::new(scene, &options)
 }
 
+/// A world without anything in it: what is shown of a scene that cannot be built.
+pub(crate) fn empty_world(spacing: f32) -> World {
+    let scene = Scene {
+        origin: DVec3::ZERO,
+        objects: Vec::new(),
+        lights: Vec::new(),
+        cameras: Vec::new(),
+        warnings: Vec::new(),
+        degenerate_triangles: 0,
+    };
+    let options = rebake_core::WorldOptions { spacing: Some(spacing), ..rebake_core::WorldOptions::default() };
+    // Nothing can be too large or malformed.
+    World::new(scene, &options).expect("an empty scene can be built")
+}
+
 /// The old map with the slots of the new world.
 pub(crate) fn carry_over(transition: &Transition, map: &LightMap) -> Arc<LightMap> {
     Arc::new(transition.carry_over(map))
+}
+
+/// Whether every object has the same slots in both worlds. Where it has, a map of the shorter world is one of the
+/// longer, followed by holes.
+pub(crate) fn have_same_slots(short: &World, long: &World) -> bool {
+    let slots = |world: &World| -> BTreeMap<String, (u32, u32, bool)> {
+        let slots = |object: ObjectSummary| (object.name, (object.first_element, object.elements, object.with_back));
+        objects(world).map(slots).collect()
+    };
+    short.slots() <= long.slots() && slots(short) == slots(long)
+}
+
+/// A map with holes at its end, up to `slots`.
+pub(crate) fn lengthened(map: &Arc<LightMap>, slots: usize) -> Arc<LightMap> {
+    if map.len() >= slots {
+        return map.clone();
+    }
+    let mut longer = LightMap::clone(map);
+    longer.direct.resize(slots, Vec3::ZERO);
+    longer.indirect.resize(slots, Vec3::ZERO);
+    longer.variance.resize(slots, 0.0);
+    Arc::new(longer)
 }
 
 /// One object, as clients see it.
@@ -114,6 +152,7 @@ pub(crate) struct ObjectSummary {
     pub(crate) triangles: u32,
     pub(crate) bounds: (DVec3, DVec3),
     pub(crate) albedo: Vec3,
+    pub(crate) world_from_object: DMat4,
 }
 
 /// All objects of a world.
@@ -127,6 +166,7 @@ pub(crate) fn objects(world: &World) -> impl Iterator<Item = ObjectSummary> + '_
         triangles: object.triangle_count,
         bounds: object.bounds,
         albedo: object.albedo,
+        world_from_object: world.scene.objects[object.index as usize].world_from_object,
     })
 }
 
@@ -146,6 +186,11 @@ pub(crate) fn element_records(world: &World) -> Vec<u8> {
         bytes.extend_from_slice(&object.to_le_bytes());
     }
     bytes
+}
+
+/// A hash of all elements: two worlds with the same one have the same slots, bit for bit.
+pub(crate) fn layout_hash(world: &World) -> String {
+    blake3::hash(&element_records(world)).to_hex().to_string()
 }
 
 /// The subdivided mesh with the values as vertex colours, as binary glTF.

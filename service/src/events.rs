@@ -45,9 +45,12 @@ struct Log {
 }
 
 impl EventLog {
-    pub(crate) fn new(capacity: usize) -> EventLog {
-        let log = Log { events: VecDeque::new(), capacity: capacity.max(1), newest: 0, closed: false, state: None };
-        EventLog { log: Mutex::new(log), newest: watch::Sender::new(0) }
+    /// `first`: ids rise from the one after it. Another life of the service begins elsewhere, so that an id of an
+    /// earlier one is known to be old.
+    pub(crate) fn new(capacity: usize, first: u64) -> EventLog {
+        let capacity = capacity.max(1);
+        let log = Log { events: VecDeque::new(), capacity, newest: first, closed: false, state: None };
+        EventLog { log: Mutex::new(log), newest: watch::Sender::new(first) }
     }
 
     /// Appends an event. Nothing is added to a closed log.
@@ -125,7 +128,7 @@ mod tests {
 
     #[test]
     fn resumes_within_the_ring_and_says_so_beyond_it() {
-        let log = EventLog::new(3);
+        let log = EventLog::new(3, 0);
         for n in 1..=5u64 {
             log.push("x", n.to_string().into());
         }
@@ -138,7 +141,7 @@ mod tests {
 
     #[test]
     fn a_closed_log_takes_nothing_and_keeps_its_end() {
-        let log = EventLog::new(100);
+        let log = EventLog::new(100, 0);
         for n in 1..=40u64 {
             log.push_state("job", n.to_string().into());
         }

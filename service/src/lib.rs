@@ -1,19 +1,29 @@
 //! The light-map update service: HTTP API, job queue, version store and the parts of its command line.
 //!
 //! Data goes one way: request → queue → update → version store → delta → client. `api` only unpacks, calls and wraps;
-//! `jobs` decides and runs; `store` keeps what was published; `engine` is the only module that computes light.
+//! `jobs` decides and runs; `store` keeps what was published; `engine` is the only module that computes light,
+//! `pictures` the only one that draws it.
 //! Nothing but `server` and `api` knows HTTP, and no light is computed on an async thread.
 
 pub mod api;
+pub mod auth;
+pub mod bench;
 pub mod client;
 mod compute;
 pub mod config;
 pub mod engine;
 mod events;
 pub mod jobs;
+mod memory;
+mod metrics;
+pub mod pictures;
+mod restore;
+mod saving;
 pub mod server;
 mod state;
 mod store;
+pub mod viewer;
 
 pub use config::Config;
 pub use server::run;
+pub use store::faults;

@@ -10,6 +10,7 @@ use hyper_util::server::graceful::{GracefulShutdown, Watcher};
 use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio_io_timeout::TimeoutStream;
 
 use crate::api;
 use crate::config::Config;
@@ -19,9 +20,11 @@ use crate::state::{App, Phase};
 /// stays consistent), lets every stream send what is left, and returns within the time of `config`.
 ///
 /// # Errors
-/// Where the compute threads cannot be started.
+/// Where the compute threads cannot be started or the data directory cannot be used.
 pub async fn run(listener: TcpListener, config: Config, shutdown: impl Future<Output = ()>) -> io::Result<()> {
-    let app = App::new(config).map_err(io::Error::other)?;
+    // Scenes of an earlier life are built here.
+    let app = tokio::task::spawn_blocking(move || App::new(config)).await.map_err(io::Error::other)?;
+    let app = app.map_err(io::Error::other)?;
     let router = api::router(app.clone());
     let connections = Arc::new(Semaphore::new(app.config.limits.connections));
     let graceful = GracefulShutdown::new();
@@ -69,7 +72,11 @@ async fn connection(
     let mut builder = Builder::new(TokioExecutor::new());
     builder.http1().timer(TokioTimer::new()).header_read_timeout(app.config.timeouts.header);
     builder.http2().timer(TokioTimer::new()).keep_alive_interval(app.config.timeouts.keep_alive);
-    let served = builder.serve_connection(TokioIo::new(stream), TowerToHyperService::new(router)).into_owned();
+    // A client that takes nothing in for so long holds a connection and what is queued for it: it may come back.
+    let mut stream = TimeoutStream::new(stream);
+    stream.set_write_timeout(Some(app.config.timeouts.write));
+    let io = TokioIo::new(Box::pin(stream));
+    let served = builder.serve_connection(io, TowerToHyperService::new(router)).into_owned();
     if let Err(error) = watcher.watch(served).await {
         tracing::debug!(error = %error, "connection");
     }
@@ -79,7 +86,7 @@ async fn close(app: &Arc<App>, graceful: GracefulShutdown) {
     let limit = app.config.timeouts.shutdown;
     tracing::info!(connections = graceful.count(), seconds = limit.as_secs_f32(), "closing");
     app.phase.send_replace(Phase::Draining);
-    app.jobs.close(app);
+    app.close_jobs();
     let end_streams = async {
         let mut running = app.jobs.watch_running();
         // Streams end with whatever is published by then.
@@ -93,5 +100,9 @@ async fn close(app: &Arc<App>, graceful: GracefulShutdown) {
     match tokio::time::timeout(limit, both).await {
         Ok(_) => tracing::info!("closed"),
         Err(_elapsed) => tracing::warn!("some connections did not end in time"),
+    }
+    let its_app = app.clone();
+    if tokio::task::spawn_blocking(move || its_app.save_all()).await.is_err() {
+        tracing::error!("the light could not be saved");
     }
 }

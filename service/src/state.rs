@@ -2,16 +2,31 @@
 
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 
-use rayon::ThreadPoolBuildError;
 use tokio::sync::{Semaphore, watch};
 
 use crate::compute::Compute;
 use crate::config::Config;
 use crate::jobs::Jobs;
+use crate::metrics::Metrics;
+use crate::pictures::Pictures;
+use crate::restore;
 use crate::store::assets::Assets;
+use crate::store::disk::Disk;
 use crate::store::scenes::Scenes;
-use crate::store::{InMemory, Store};
+use crate::store::{InMemory, Store, StoreError};
+
+/// Why the service cannot start.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum StartError {
+    /// No threads.
+    #[error("cannot start the compute threads: {0}")]
+    Threads(#[from] rayon::ThreadPoolBuildError),
+    /// The data directory cannot be used.
+    #[error("cannot use the data directory: {0}")]
+    Store(#[from] StoreError),
+}
 
 /// How far the end of the service is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -32,27 +47,53 @@ pub(crate) struct App {
     pub(crate) jobs: Jobs,
     pub(crate) scenes: Arc<Scenes>,
     pub(crate) assets: Assets,
+    pub(crate) pictures: Pictures,
     pub(crate) store: Arc<dyn Store>,
     pub(crate) phase: watch::Sender<Phase>,
     /// Uploads that are read and built.
     pub(crate) uploads: Arc<Semaphore>,
     /// Open event and delta streams.
     pub(crate) streams: Arc<Semaphore>,
+    /// Bytes of scenes that are being built.
+    pub(crate) promised_memory: AtomicU64,
+    pub(crate) metrics: Metrics,
+    /// Ids of this life's events rise from the one after it.
+    pub(crate) first_event: u64,
 }
 
 impl App {
-    pub(crate) fn new(config: Config) -> Result<Arc<App>, ThreadPoolBuildError> {
+    /// The state, with all that the data directory holds. Takes as long as building the scenes takes.
+    pub(crate) fn new(config: Config) -> Result<Arc<App>, StartError> {
+        let Some(directory) = &config.data_dir else {
+            return App::with_store(config, Ids::new(), Arc::new(InMemory), 0);
+        };
+        let disk = Disk::open(directory, config.faults.clone(), config.limits.idempotency_keys)?;
+        let saved = disk.load(&Ids::new().suffix)?;
+        let ids = Ids { suffix: saved.suffix.clone() };
+        // Far enough apart that no life reaches the next one's ids, and exact in JSON for two million lives.
+        let first_event = (saved.life - 1) << 32;
+        let disk = Arc::new(disk);
+        let app = App::with_store(config, ids, disk.clone(), first_event)?;
+        app.compute.install(|| restore::restore(&app, &disk, saved));
+        Ok(app)
+    }
+
+    fn with_store(config: Config, ids: Ids, store: Arc<dyn Store>, first_event: u64) -> Result<Arc<App>, StartError> {
         let limits = &config.limits;
         Ok(Arc::new(App {
-            ids: Ids::new(),
+            ids,
             compute: Compute::new(config.threads)?,
             jobs: Jobs::new(&config)?,
             scenes: Arc::new(Scenes::new()),
             assets: Assets::new(limits.assets, limits.asset_bytes),
-            store: Arc::new(InMemory),
+            pictures: Pictures::new(),
+            store,
             phase: watch::Sender::new(Phase::Serving),
             uploads: Arc::new(Semaphore::new(limits.concurrent_uploads)),
             streams: Arc::new(Semaphore::new(limits.streams)),
+            promised_memory: AtomicU64::new(0),
+            metrics: Metrics::default(),
+            first_event,
             config,
         }))
     }

@@ -10,6 +10,15 @@ fn paint(albedo: f64) -> Value {
     json!({ "op": "material", "object": "room", "albedo": [albedo, albedo, albedo] })
 }
 
+/// Another change, which no paint makes superfluous.
+fn dim(intensity: f64) -> Value {
+    json!({ "op": "relight", "lights": [{ "light": "lamp", "intensity": intensity }] })
+}
+
+fn move_cupboard(x: f64) -> Value {
+    json!({ "op": "move", "object": "cupboard", "transform": super::glb::translation(x, 0.0, 0.0) })
+}
+
 fn id(job: &Value) -> &str {
     job["id"].as_str().unwrap()
 }
@@ -19,7 +28,7 @@ async fn one_job_of_a_scene_at_a_time_and_the_rest_wait_in_order() {
     let (server, script) = Server::scripted().await;
     let scene = server.room("").await;
     let bake = scene["current_job"].as_str().unwrap().to_owned();
-    let edits = [server.edit(&scene, &paint(0.1)).await, server.edit(&scene, &paint(0.2)).await];
+    let edits = [server.edit(&scene, &paint(0.1)).await, server.edit(&scene, &dim(9.0)).await];
     let states = async || {
         let jobs = server.get(&format!("/v1/jobs?scene={}", id(&scene))).await.json(200);
         let jobs = jobs["items"].as_array().unwrap().clone();
@@ -173,7 +182,7 @@ async fn queues_and_memory_of_jobs_are_bounded() {
     let bake = scene["current_job"].as_str().unwrap();
     server.until(bake, |job| job["state"] == "running").await;
     server.edit(&scene, &paint(0.1)).await;
-    let last = server.edit(&scene, &paint(0.2)).await;
+    let last = server.edit(&scene, &dim(9.0)).await;
     let refused = server.post_json(&format!("{}/edits", path_of(&scene)), &paint(0.3)).await;
     refused.problem(429, "queue-full");
     assert_eq!(refused.header("retry-after"), "1");
@@ -204,4 +213,103 @@ async fn the_same_calls_give_the_same_bits() {
         server.stop().await;
     }
     assert!(maps[0] == maps[1]);
+}
+
+#[tokio::test]
+async fn moves_that_queue_up_are_lit_as_one() {
+    let (server, script) = Server::scripted().await;
+    let scene = server.room("").await;
+    let bake = scene["current_job"].as_str().unwrap();
+    server.until(bake, |job| job["state"] == "running").await;
+    let mut moves = Vec::new();
+    for x in 1..=5 {
+        moves.push(server.edit(&scene, &move_cupboard(0.1 * f64::from(x))).await);
+    }
+    let dimmed = server.edit(&scene, &dim(3.0)).await;
+    let last = moves.pop().unwrap();
+    script.run(&[Step::Round, Step::Finish]);
+    server.until(&last, |job| job["state"] == "running").await;
+    for job in &moves {
+        let job = server.get(&format!("/v1/jobs/{job}")).await.json(200);
+        assert_eq!((&job["state"], &job["merged_into"]), (&json!("queued"), &json!(last)), "{job}");
+    }
+    // One run of the engine for all five, and another one for the lamp.
+    script.run(&[Step::Round, Step::Finish]);
+    for job in &moves {
+        let job = server.end_of(job).await;
+        assert_eq!((&job["state"], &job["merged_into"]), (&json!("succeeded"), &json!(last)), "{job}");
+    }
+    assert_eq!(server.end_of(&last).await["merged_into"], json!(null));
+    script.run(&[Step::Round, Step::Finish]);
+    assert_eq!(server.end_of(&dimmed).await["state"], "succeeded");
+    let now = server.get(&path_of(&scene)).await.json(200);
+    assert_eq!(now["unlit_edits"], 0);
+    let x = now["objects"][1]["bounds"]["min"][0].as_f64().unwrap();
+    assert!((x - 1.0).abs() < 1e-5, "the last move counts: {x}");
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn what_comes_and_goes_while_it_waits_needs_no_light() {
+    let (server, script) = Server::scripted().await;
+    let asset = server.crate_asset().await;
+    let scene = server.room("").await;
+    let bake = scene["current_job"].as_str().unwrap();
+    server.until(bake, |job| job["state"] == "running").await;
+    let at = super::glb::translation(2.0, 0.01, 2.0);
+    let insert = json!({ "op": "insert", "asset": asset, "name": "a", "transform": at });
+    let insert = server.edit(&scene, &insert).await;
+    let remove = server.edit(&scene, &json!({ "op": "remove", "objects": ["a"] })).await;
+    script.run(&[Step::Round, Step::Finish]);
+    // No step of the engine is needed for these.
+    for job in [&insert, &remove] {
+        assert_eq!(server.end_of(job).await["state"], "succeeded");
+    }
+    let now = server.get(&path_of(&scene)).await.json(200);
+    assert_eq!(now["objects"].as_array().unwrap().len(), 2);
+    assert_eq!(now["unlit_edits"], 0);
+    // The slots it had are a hole, and the map is as long as they are.
+    let raw = server.get(&format!("{}/lightmap?format=raw", path_of(&scene))).await.body;
+    let (frame, _) = rebake_core::delta::Frame::decode(&raw).unwrap();
+    assert_eq!(frame.values.len() as u64, now["elements"].as_u64().unwrap());
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn a_canceled_job_lets_go_of_those_merged_into_it() {
+    let (server, script) = Server::scripted().await;
+    let scene = server.room("").await;
+    let bake = scene["current_job"].as_str().unwrap();
+    server.until(bake, |job| job["state"] == "running").await;
+    let first = server.edit(&scene, &move_cupboard(0.1)).await;
+    let second = server.edit(&scene, &move_cupboard(0.2)).await;
+    script.run(&[Step::Round, Step::Finish]);
+    server.until(&second, |job| job["state"] == "running").await;
+    server.delete(&format!("/v1/jobs/{second}")).await.json(202);
+    assert_eq!(server.end_of(&second).await["state"], "canceled");
+    script.run(&[Step::Round, Step::Finish, Step::Round, Step::Finish]);
+    let first = server.end_of(&first).await;
+    assert_eq!((&first["state"], &first["merged_into"]), (&json!("succeeded"), &json!(null)), "{first}");
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn a_high_priority_goes_first() {
+    let (server, script) = Server::scripted_with(|config| config.job_slots = 1).await;
+    let scenes = join_all((0..3).map(|_| server.room("?bake=false"))).await;
+    let hold = server.edit(&scenes[0], &paint(0.1)).await;
+    server.until(&hold, |job| job["state"] == "running").await;
+    let normal = server.edit(&scenes[1], &paint(0.1)).await;
+    let mut urgent = paint(0.1);
+    urgent["priority"] = json!("high");
+    let urgent = server.edit(&scenes[2], &urgent).await;
+    script.run(&[Step::Round, Step::Finish].repeat(3));
+    let (normal, urgent) = (server.end_of(&normal).await, server.end_of(&urgent).await);
+    assert!(urgent["started_at"].as_str() < normal["started_at"].as_str());
+    assert_eq!(urgent["priority"], "high");
+    let mut wrong = paint(0.1);
+    wrong["priority"] = json!("urgent");
+    let refused = server.post_json(&format!("{}/edits", path_of(&scenes[0])), &wrong).await;
+    assert!(refused.problem(422, "invalid-value").contains("priority"));
+    server.stop().await;
 }

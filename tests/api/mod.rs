@@ -1,6 +1,10 @@
 //! The service over HTTP: the real server on a free port.
 
+mod access;
+mod browser;
+mod crash;
 mod deltas;
+mod durable;
 mod edits;
 mod engine;
 mod errors;
@@ -9,6 +13,7 @@ mod glb;
 mod jobs;
 mod lightmap;
 mod openapi;
+mod render;
 mod scenes;
 mod server;
 mod shutdown;

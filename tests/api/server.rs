@@ -97,6 +97,12 @@ impl Server {
         Server { base, http: reqwest::Client::new(), client, stop: Some(stop), ended }
     }
 
+    /// A service that runs in another process.
+    pub(crate) fn elsewhere(base: &str) -> Server {
+        let (base, client) = (base.to_owned(), Client::new(base).unwrap());
+        Server { base, http: reqwest::Client::new(), client, stop: None, ended: tokio::spawn(async { Ok(()) }) }
+    }
+
     /// Tells the service to stop.
     pub(crate) fn signal(&mut self) {
         if let Some(stop) = self.stop.take() {

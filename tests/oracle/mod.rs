@@ -5,6 +5,8 @@ mod edits;
 mod enclosures;
 mod focus;
 mod hard_cases;
+mod paper;
+mod path;
 mod plates;
 mod scenes;
 mod statistics;

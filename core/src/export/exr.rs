@@ -44,13 +44,36 @@ pub fn write_exr(
         return Err(ExportError::Lists("the light map".to_owned()));
     }
     let height = elements.div_ceil(width);
+    let count = i32::try_from(elements).map_err(|_| ExportError::TooLarge)?;
+    let layout = "Pixel (x, y) is element y * width + x. The last row is padded with zeros.";
+    let own = [("elements", AttributeValue::I32(count)), ("layout", AttributeValue::Text(text(layout)))];
+    write((width, height), layers, &own, attributes)
+}
+
+/// Writes linear RGB, row by row from the top, as a 32-bit float OpenEXR picture. The same input gives the same bytes.
+///
+/// # Errors
+/// [`ExportError`]: no pixels, rows that are not complete, attribute names that are not possible.
+pub fn write_picture_exr(pixels: &[Vec3], width: usize, attributes: &[(&str, &str)]) -> Result<Vec<u8>, ExportError> {
+    if pixels.is_empty() || width == 0 || !pixels.len().is_multiple_of(width) {
+        return Err(ExportError::Lists("the picture".to_owned()));
+    }
+    write((width, pixels.len() / width), &[("", pixels)], &[], attributes)
+}
+
+fn write(
+    (width, height): (usize, usize),
+    layers: &[(&str, &[Vec3])],
+    own: &[(&str, AttributeValue)],
+    attributes: &[(&str, &str)],
+) -> Result<Vec<u8>, ExportError> {
     if width > MAX_SIDE || height > MAX_SIDE {
         return Err(ExportError::TooLarge);
     }
     let encoding =
         Encoding { compression: Compression::ZIP16, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
     let channels = channels(layers, width * height)?;
-    let attributes = layer_attributes(elements, attributes)?;
+    let attributes = layer_attributes(own, attributes)?;
     let image = Image::from_layer(Layer::new((width, height), attributes, encoding, channels));
     let mut file = Cursor::new(Vec::new());
     image.write().to_buffered(&mut file).map_err(|error| ExportError::Exr(error.to_string()))?;
@@ -77,12 +100,12 @@ fn channels(layers: &[(&str, &[Vec3])], pixels: usize) -> Result<AnyChannels<Fla
     Ok(AnyChannels::sort(list))
 }
 
-fn layer_attributes(elements: usize, attributes: &[(&str, &str)]) -> Result<LayerAttributes, ExportError> {
+fn layer_attributes(
+    own: &[(&str, AttributeValue)],
+    attributes: &[(&str, &str)],
+) -> Result<LayerAttributes, ExportError> {
     let mut result = LayerAttributes { software_name: Some(text("rebake")), ..LayerAttributes::default() };
-    let count = i32::try_from(elements).map_err(|_| ExportError::TooLarge)?;
-    let layout = "Pixel (x, y) is element y * width + x. The last row is padded with zeros.";
-    result.other.insert(text("elements"), AttributeValue::I32(count));
-    result.other.insert(text("layout"), AttributeValue::Text(text(layout)));
+    result.other.extend(own.iter().map(|(name, value)| (text(name), value.clone())));
     for (name, value) in attributes {
         let known = result.other.insert(text_name(name)?, AttributeValue::Text(text(value)));
         // The names that the format itself uses have types of their own.

@@ -4,7 +4,7 @@ mod exr;
 mod glb;
 mod lightmap;
 
-pub use self::exr::{EXR_WIDTH, write_exr};
+pub use self::exr::{EXR_WIDTH, write_exr, write_picture_exr};
 pub use self::glb::{MeshExport, write_glb, write_scene_glb};
 pub use self::lightmap::{lightmap_exr, lightmap_glb};
 
@@ -29,4 +29,7 @@ pub enum ExportError {
     /// The EXR library refused.
     #[error("the EXR file could not be written: {0}")]
     Exr(String),
+    /// The PNG library refused.
+    #[error("the PNG file could not be written: {0}")]
+    Png(String),
 }

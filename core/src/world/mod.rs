@@ -20,7 +20,7 @@ pub use transition::Transition;
 pub use trees::Trees;
 
 pub(crate) use coarse::Coarse;
-pub(crate) use emitters::{Emitter, Emitters};
+pub(crate) use emitters::{Emitter, Emitters, Shape};
 pub(crate) use geometry::{Geometry, Part, Placement, TriangleRecord};
 pub(crate) use sight::Hidden;
 pub(crate) use validity::Validity;

@@ -14,7 +14,7 @@ const LEVEL: i32 = 1;
 
 impl Coding {
     /// `Content-Encoding`, where there is one.
-    pub(super) fn headers(self) -> HeaderMap {
+    pub(crate) fn headers(self) -> HeaderMap {
         let mut headers = HeaderMap::new();
         if let Some(value) = self.header_value() {
             headers.insert(header::CONTENT_ENCODING, HeaderValue::from_static(value));
@@ -67,7 +67,7 @@ impl Coder {
 }
 
 /// A whole body in one piece.
-pub(super) fn encode_body(coding: Coding, body: Vec<u8>) -> io::Result<Bytes> {
+pub(crate) fn encode_body(coding: Coding, body: Vec<u8>) -> io::Result<Bytes> {
     let mut coder = Coder::new(coding)?;
     let head = coder.push(body)?;
     let tail = coder.finish()?;

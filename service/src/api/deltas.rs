@@ -176,11 +176,17 @@ impl Sender {
             if half {
                 frame = frame.halved();
             }
-            let pieces = frame.split(max_values).into_iter().map(|frame| coder.push(frame.encode()));
+            let mut bytes = 0;
+            let pieces = frame.split(max_values).into_iter().map(|frame| {
+                let frame = frame.encode();
+                bytes += frame.len();
+                coder.push(frame)
+            });
             let pieces = pieces.collect::<io::Result<VecDeque<Bytes>>>()?;
-            io::Result::Ok((pieces, coder))
+            io::Result::Ok((pieces, coder, bytes))
         };
-        let (pieces, coder) = self.app.compute.run(encode).await.map_err(io::Error::other)??;
+        let (pieces, coder, bytes) = self.app.compute.run(encode).await.map_err(io::Error::other)??;
+        self.app.metrics.delta_bytes.inc_by(bytes as u64);
         self.waiting = pieces;
         self.coder = Some(coder);
         self.version = Some(version);

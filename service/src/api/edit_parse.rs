@@ -7,7 +7,7 @@ use serde_json::{Map, Value};
 
 use super::edit_types::{self as dto, Budget, CameraRef, EditOp, Focus, NewLight};
 use super::problem::{ApiResult, Kind, Problem};
-use super::types::{dmat4, dvec3, vec3};
+use super::types::{JobPriority, dmat4, dvec3, vec3};
 use crate::config::Config;
 use crate::engine::{self, Edit, World};
 use crate::jobs::observer::JobBudget;
@@ -18,6 +18,7 @@ pub(crate) struct Parsed {
     pub(crate) edits: Vec<EditOp>,
     pub(crate) budget: Option<Budget>,
     pub(crate) focus: Option<Focus>,
+    pub(crate) priority: JobPriority,
     /// The request was a list: fields are named `edits[i].…`.
     pub(crate) is_list: bool,
 }
@@ -30,11 +31,12 @@ pub(crate) fn parse(body: &[u8], max_edits: usize) -> ApiResult<Parsed> {
         return Err(Problem::new(Kind::InvalidJson, "the body has to be a JSON object"));
     };
     let (mut budget, mut focus) = take_extras(&mut fields, "")?;
+    let priority = fields.remove("priority").map_or(Ok(JobPriority::Normal), |value| read(value, "priority"))?;
     let Some(list) = fields.remove("edits") else {
-        return Ok(Parsed { edits: vec![parse_op(fields, "")?], budget, focus, is_list: false });
+        return Ok(Parsed { edits: vec![parse_op(fields, "")?], budget, focus, priority, is_list: false });
     };
     if let Some(unknown) = fields.keys().next() {
-        let reason = "is not known beside `edits`; expected `budget` or `focus`";
+        let reason = "is not known beside `edits`; expected `budget`, `focus` or `priority`";
         return Err(Problem::field(Kind::InvalidValue, unknown, reason));
     }
     let Value::Array(list) = list else {
@@ -55,7 +57,7 @@ pub(crate) fn parse(body: &[u8], max_edits: usize) -> ApiResult<Parsed> {
         focus = focus.or(its_focus);
         edits.push(parse_op(fields, &path)?);
     }
-    Ok(Parsed { edits, budget, focus, is_list: true })
+    Ok(Parsed { edits, budget, focus, priority, is_list: true })
 }
 
 fn take_extras(fields: &mut Map<String, Value>, path: &str) -> ApiResult<(Option<Budget>, Option<Focus>)> {

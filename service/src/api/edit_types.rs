@@ -3,6 +3,8 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use super::job_types::JobPriority;
+
 /// One edit with its budget and focus, or several as one job.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(untagged)]
@@ -24,6 +26,9 @@ pub struct EditList {
     /// What to light first.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focus: Option<Focus>,
+    /// Whose turn comes sooner; `normal` where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub priority: Option<JobPriority>,
 }
 
 /// One edit.
@@ -38,6 +43,9 @@ pub struct SingleEdit {
     /// What to light first.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focus: Option<Focus>,
+    /// Whose turn comes sooner; `normal` where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub priority: Option<JobPriority>,
 }
 
 /// What to change.

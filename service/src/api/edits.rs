@@ -16,10 +16,12 @@ use super::scenes::{full_problem, next_seed};
 use super::types::{Job, to_event_data};
 use super::{Shared, find_scene, require_serving};
 use crate::engine::{Edit, EditError, EditErrorKind};
-use crate::jobs::JobSpec;
 use crate::jobs::queue::JobKind;
+use crate::jobs::{JobSpec, new_record};
 use crate::state::App;
-use crate::store::scenes::{Head, Remembered, SceneEntry};
+use crate::store::lighting::Unlit;
+use crate::store::records::{Accepted, EditRecord, KeyRecord};
+use crate::store::scenes::{Head, SceneEntry};
 
 static IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
 
@@ -78,18 +80,13 @@ pub(super) async fn create(
     if if_match.is_some_and(|tags| !tags.matches_strongly(&version.to_string())) {
         return Err(Problem::new(Kind::PreconditionFailed, format!("the light map is at version {version}")));
     }
-    app.jobs.has_room(&scene).map_err(full_problem)?;
     let request = read_request(&app, &head, &body)?;
 
     // On the pool to the end: once begun, an edit is accepted even where the client has gone away.
     let (its_app, its_scene) = (app.clone(), scene.clone());
     let job = app.compute.run(move || {
-        let job = accept(&its_app, &its_scene, &mut head, request, &body)?;
-        let answer = to_event_data(&job.1);
-        if let Some(key) = key {
-            head.keys.insert(key, Remembered { body_hash, job: job.0, answer: answer.clone() });
-        }
-        ApiResult::Ok((job.1.id, answer))
+        let key = key.map(|key| (key, body_hash));
+        accept(&its_app, &its_scene, &mut head, request, &body, key)
     });
     let (id, answer) = job.await??;
     Ok(accepted(&id, &answer))
@@ -108,41 +105,53 @@ fn read_request(app: &App, head: &Head, body: &[u8]) -> ApiResult<Request> {
     let edits = to_edits(&parsed, &app.assets, limits.name_chars)?;
     let budget = to_budget(parsed.budget, "budget", app.config.defaults.edit_samples, &app.config)?;
     let focus = parsed.focus.as_ref().map(|focus| to_focus(focus, &head.world)).transpose()?;
-    let spec = JobSpec { kind: JobKind::Edit, budget, focus, seed: 0, sequence: head.sequence };
+    let priority = parsed.priority.into();
+    let spec = JobSpec { kind: JobKind::Edit, priority, budget, focus, seed: 0, sequence: head.sequence };
     Ok(Request { parsed, edits, spec })
 }
 
-/// Applies the edits to the head and queues the job. On an error nothing has changed.
+/// Applies the edits to the head, keeps the request and queues the job: its id and the answer. On an error nothing has
+/// changed.
 fn accept(
     app: &Arc<App>,
     scene: &Arc<SceneEntry>,
     head: &mut Head,
     request: Request,
     body: &Bytes,
-) -> ApiResult<(u64, Job)> {
+    key: Option<(String, blake3::Hash)>,
+) -> ApiResult<(String, Arc<str>)> {
     let Request { parsed, edits, mut spec } = request;
-    if edits.is_empty() {
-        spec.seed = next_seed(&mut head.jobs);
-        let job = app.submit(scene, spec, |_| ()).map_err(full_problem)?;
-        return Ok((job.number, Job::new(&app.ids, &job, &scene.id)));
-    }
+    let ticket = app.ticket(scene.number).map_err(full_problem)?;
     let limits = &app.config.limits;
     if scene.unlit() >= limits.queued_per_scene + limits.unlit_edits {
         let text = "too many edits of this scene are not lit yet";
         return Err(Problem::new(Kind::QueueFull, text).retry_after(1));
     }
-    let transition = head.world.apply(&edits).map_err(|error| edit_problem(error, parsed.is_list))?;
-    let after = transition.after.clone();
-    let sequence = head.sequence + 1;
-    app.store.edit_accepted(&scene.id, sequence, body)?;
+    let transition = match edits.is_empty() {
+        true => None,
+        false => Some(head.world.apply(&edits).map_err(|error| edit_problem(error, parsed.is_list))?),
+    };
+    if transition.is_some() {
+        app.pictures.remember(scene.number, scene.published());
+    }
     let mut jobs = head.jobs;
     spec.seed = next_seed(&mut jobs);
-    spec.sequence = sequence;
-    let job = app.submit(scene, spec, |_| scene.accept(sequence, transition)).map_err(full_problem)?;
-    head.world = after;
-    head.sequence = sequence;
+    spec.sequence = head.sequence + u64::from(transition.is_some());
+    let record = new_record(ticket.number, scene, &spec);
+    let job = Job::new(&app.ids, &record.job, &scene.id);
+    let answer = to_event_data(&job);
+    let key = key.map(|(key, body_hash)| KeyRecord { key, body_hash, job: ticket.number, answer: answer.clone() });
+    let edit = transition.is_some().then_some(EditRecord { sequence: spec.sequence, body });
+    app.store.accepted(&Accepted { scene: scene.number, edit, job: &record, key: key.as_ref(), jobs })?;
+    let unlit = transition.map(|transition| {
+        head.world = transition.after.clone();
+        head.sequence = spec.sequence;
+        Unlit { sequence: spec.sequence, transition: Arc::new(transition), edits: edits.into() }
+    });
     head.jobs = jobs;
-    Ok((job.number, Job::new(&app.ids, &job, &scene.id)))
+    ticket.submit(scene, &record, || unlit.into_iter().for_each(|unlit| scene.accept(unlit)));
+    key.into_iter().for_each(|key| head.keys.insert(key));
+    Ok((job.id, answer))
 }
 
 fn edit_problem(error: EditError, is_list: bool) -> Problem {

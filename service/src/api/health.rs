@@ -1,7 +1,9 @@
-//! Liveness, readiness, what is not there yet, and what problems mean.
+//! Liveness, readiness, metrics, what is not there yet, and what problems mean.
 
 use axum::Json;
 use axum::extract::State;
+use axum::http::header;
+use axum::response::{IntoResponse, Response};
 
 use super::extract::ApiPath;
 use super::problem::{self, ApiResult, Kind, Problem};
@@ -21,9 +23,16 @@ pub(super) async fn ready(State(app): Shared) -> ApiResult<Json<Health>> {
     Ok(Json(Health { status: "ok".to_owned() }))
 }
 
-/// Calls of api.md that are yet to come.
-pub(super) async fn not_implemented() -> Problem {
-    Problem::new(Kind::NotImplemented, "this call is not there yet")
+/// Metrics for Prometheus (OpenMetrics text).
+#[utoipa::path(
+    get, path = "/metrics", tag = "service", operation_id = "metrics",
+    responses((status = 200, body = String, content_type = "application/openmetrics-text"))
+)]
+pub(super) async fn metrics(State(app): Shared) -> ApiResult<Response> {
+    const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+    let its_app = app.clone();
+    let text = app.compute.run(move || its_app.metrics_text()).await?.map_err(Problem::internal)?;
+    Ok(([(header::CONTENT_TYPE, CONTENT_TYPE)], text).into_response())
 }
 
 /// What a kind of problem means.

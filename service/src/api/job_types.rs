@@ -26,6 +26,8 @@ pub enum JobState {
     Queued,
     /// Runs.
     Running,
+    /// Waits for a client to resume it.
+    Paused,
     /// Done.
     Succeeded,
     /// Ended by an error.
@@ -39,9 +41,43 @@ impl From<queue::JobState> for JobState {
         match state {
             queue::JobState::Queued => JobState::Queued,
             queue::JobState::Running => JobState::Running,
+            queue::JobState::Paused => JobState::Paused,
             queue::JobState::Succeeded => JobState::Succeeded,
             queue::JobState::Failed => JobState::Failed,
             queue::JobState::Canceled => JobState::Canceled,
+        }
+    }
+}
+
+/// Whose turn comes sooner. Nothing waits for ever: what waits long counts as higher.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum JobPriority {
+    /// When nothing else waits.
+    Low,
+    /// As most.
+    #[default]
+    Normal,
+    /// Before the others.
+    High,
+}
+
+impl From<queue::Priority> for JobPriority {
+    fn from(priority: queue::Priority) -> JobPriority {
+        match priority {
+            queue::Priority::Low => JobPriority::Low,
+            queue::Priority::Normal => JobPriority::Normal,
+            queue::Priority::High => JobPriority::High,
+        }
+    }
+}
+
+impl From<JobPriority> for queue::Priority {
+    fn from(priority: JobPriority) -> queue::Priority {
+        match priority {
+            JobPriority::Low => queue::Priority::Low,
+            JobPriority::Normal => queue::Priority::Normal,
+            JobPriority::High => queue::Priority::High,
         }
     }
 }
@@ -61,6 +97,14 @@ pub struct Job {
     pub state: JobState,
     /// It runs and was asked to stop.
     pub cancel_requested: bool,
+    /// It runs and was asked to make room.
+    pub pause_requested: bool,
+    /// Whose turn comes sooner.
+    pub priority: JobPriority,
+    /// The job that lights this one's edits together with its own. Set while that one runs; this job ends as it does,
+    /// or waits again where that one is canceled or paused.
+    #[schema(example = "j7-k3f9qz")]
+    pub merged_into: Option<String>,
     /// How far it is.
     pub progress: JobProgress,
     /// When it was accepted.
@@ -88,11 +132,15 @@ impl Job {
             },
             state: job.state.into(),
             cancel_requested: job.cancel_requested,
+            pause_requested: job.pause_requested,
+            priority: job.priority.into(),
+            merged_into: job.merged_into.map(|into| ids.job(into)),
             progress: JobProgress {
                 fraction: progress.fraction,
                 pass: progress.pass.map(str::to_owned),
                 samples_per_element: progress.samples_per_element,
                 elapsed_ms: progress.elapsed_ms,
+                remaining_ms: progress.remaining_ms,
                 estimated_rmse: progress.estimated_rmse.and_then(finite),
                 rays: progress.rays,
                 version: progress.version,
@@ -120,6 +168,9 @@ pub struct JobProgress {
     /// Since the job started.
     #[schema(example = 412)]
     pub elapsed_ms: u64,
+    /// From here to the end of the budget at the pace so far; absent while nothing is measured.
+    #[schema(example = 618)]
+    pub remaining_ms: Option<u64>,
     /// Stated error of the newest version: area-weighted RMSE (irradiance / π).
     #[schema(example = 0.012)]
     pub estimated_rmse: Option<f32>,

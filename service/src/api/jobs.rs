@@ -1,4 +1,4 @@
-//! Jobs: look, cancel.
+//! Jobs: look, cancel, pause, resume.
 
 use axum::Json;
 use axum::extract::State;
@@ -11,7 +11,7 @@ use super::extract::{ApiPath, ApiQuery};
 use super::paging::Page;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::{Job, JobPage, JobState};
-use crate::jobs::queue::{Cancel, JobNumber};
+use crate::jobs::queue::{Change, JobNumber};
 use crate::state::App;
 
 /// Which jobs.
@@ -68,19 +68,54 @@ pub(super) async fn get(State(app): Shared, ApiPath(id): ApiPath<String>) -> Api
 )]
 pub(super) async fn cancel(State(app): Shared, ApiPath(id): ApiPath<String>) -> ApiResult<(StatusCode, Json<Job>)> {
     let (number, job) = find(&app, &id)?;
-    let status = match app.cancel_job(number) {
-        Cancel::Done => {
-            show_what_is_left(&app, &job).await?;
-            StatusCode::OK
-        }
-        Cancel::Requested => StatusCode::ACCEPTED,
-        Cancel::Ended | Cancel::Unknown => {
-            let (_, job) = find(&app, &id)?;
+    let its_app = app.clone();
+    let change = app.compute.run(move || its_app.cancel_job(number)).await??;
+    if change == Change::Done {
+        show_what_is_left(&app, &job).await?;
+    }
+    changed(&app, &id, job, change)
+}
+
+/// Pauses a job: a queued one at once (200), a running one soon (202). It makes room for others; what it has published
+/// stays. A later job of the scene that runs meanwhile does its work too.
+#[utoipa::path(
+    post, path = "/v1/jobs/{job}/pause", tag = "jobs", operation_id = "pause_job",
+    params(("job" = String, Path, description = "The job's id")),
+    responses((status = 200, body = Job, description = "Paused"), (status = 202, body = Job, description = "Asked to make room"))
+)]
+pub(super) async fn pause(State(app): Shared, ApiPath(id): ApiPath<String>) -> ApiResult<(StatusCode, Json<Job>)> {
+    let (number, job) = find(&app, &id)?;
+    let its_app = app.clone();
+    let change = app.compute.run(move || its_app.pause_job(number)).await??;
+    changed(&app, &id, job, change)
+}
+
+/// Puts a paused job in line again. It starts over from the light it started from before, and publishes nothing that
+/// is worse than what it had published.
+#[utoipa::path(
+    post, path = "/v1/jobs/{job}/resume", tag = "jobs", operation_id = "resume_job",
+    params(("job" = String, Path, description = "The job's id")),
+    responses((status = 200, body = Job, description = "In line"))
+)]
+pub(super) async fn resume(State(app): Shared, ApiPath(id): ApiPath<String>) -> ApiResult<(StatusCode, Json<Job>)> {
+    let (number, job) = find(&app, &id)?;
+    let its_app = app.clone();
+    let change = app.compute.run(move || its_app.resume_job(number)).await??;
+    changed(&app, &id, job, change)
+}
+
+/// A job after a request to change it: 200 where that is done, 202 where it will be.
+fn changed(app: &App, id: &str, before: Job, change: Change) -> ApiResult<(StatusCode, Json<Job>)> {
+    let status = match change {
+        Change::Done => StatusCode::OK,
+        Change::Requested => StatusCode::ACCEPTED,
+        Change::Ended | Change::Unknown => {
+            let (_, job) = find(app, id)?;
             let text = format!("the job has ended: it is {:?}", job.state).to_lowercase();
             return Err(Problem::new(Kind::JobEnded, text));
         }
     };
-    let (_, job) = find(&app, &id).unwrap_or((number, job));
+    let job = find(app, id).map_or(before, |(_, job)| job);
     Ok((status, Json(job)))
 }
 

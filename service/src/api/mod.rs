@@ -3,12 +3,13 @@
 mod assets;
 mod coding;
 mod deltas;
-mod edit_parse;
+pub(crate) mod edit_parse;
 pub mod edit_types;
 mod edits;
 mod elements;
 mod events;
 mod extract;
+mod guard;
 mod health;
 mod job_types;
 mod jobs;
@@ -16,19 +17,27 @@ mod lightmap;
 mod openapi;
 mod paging;
 pub mod problem;
+mod render;
 mod scenes;
 mod trace;
 pub mod types;
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::Router;
 use axum::extract::State;
-use axum::middleware::from_fn;
+use axum::http::{HeaderName, Method};
+use axum::middleware::from_fn_with_state;
 use axum::response::IntoResponse;
 use axum::routing::{get, post};
 
+pub(crate) use coding::encode_body;
+pub(crate) use extract::{Coding, ETags};
+use tower_http::cors::{AllowOrigin, Any, CorsLayer};
+
 pub use openapi::document;
+pub(crate) use scenes::next_seed;
 
 use crate::state::App;
 use crate::store::scenes::SceneEntry;
@@ -47,26 +56,58 @@ pub(crate) fn router(app: Arc<App>) -> Router {
         .route("/v1/scenes/{scene}/lightmap", get(lightmap::get))
         .route("/v1/scenes/{scene}/lightmap/deltas", get(deltas::get))
         .route("/v1/scenes/{scene}/elements", get(elements::get))
-        .route("/v1/scenes/{scene}/render", get(health::not_implemented))
+        .route("/v1/scenes/{scene}/render", get(render::get))
         .route("/v1/assets", post(assets::create))
         .route("/v1/jobs", get(jobs::list))
         .route("/v1/jobs/{job}", get(jobs::get).delete(jobs::cancel))
+        .route("/v1/jobs/{job}/pause", post(jobs::pause))
+        .route("/v1/jobs/{job}/resume", post(jobs::resume))
         .route("/v1/jobs/{job}/events", get(events::of_job))
         .route("/healthz", get(health::alive))
         .route("/readyz", get(health::ready))
-        .route("/metrics", get(health::not_implemented))
+        .route("/metrics", get(health::metrics))
         .route("/openapi.json", get(openapi::get))
         .route("/problems/{slug}", get(health::problem))
+        .merge(crate::viewer::routes())
         .fallback(|| async { Problem::new(Kind::NotFound, "there is nothing at this path").into_response() })
         .method_not_allowed_fallback(|| async {
             Problem::new(Kind::MethodNotAllowed, "this path does not take this method").into_response()
         })
-        .layer(from_fn(trace::requests))
+        .layer(from_fn_with_state(app.clone(), guard::requests))
+        .layer(cors(&app.config.cors_origins))
+        .layer(from_fn_with_state(app.clone(), trace::requests))
         .with_state(app)
 }
 
-/// A scene by its id.
+/// Which pages of other origins a browser lets call the API: none unless configured.
+fn cors(origins: &[String]) -> CorsLayer {
+    let origin = match origins.iter().any(|origin| origin == "*") {
+        true => AllowOrigin::any(),
+        false => AllowOrigin::list(origins.iter().filter_map(|origin| origin.parse().ok())),
+    };
+    if origins.is_empty() {
+        return CorsLayer::new();
+    }
+    let exposed = ["etag", "location", "retry-after", "x-rebake-version", "x-request-id", "content-encoding"];
+    CorsLayer::new()
+        .allow_origin(origin)
+        .allow_methods([Method::GET, Method::POST, Method::DELETE])
+        .allow_headers(Any)
+        .expose_headers(exposed.map(HeaderName::from_static))
+        .max_age(Duration::from_secs(3600))
+}
+
+/// A scene that can be worked with, by its id.
 fn find_scene(app: &App, id: &str) -> ApiResult<Arc<SceneEntry>> {
+    let scene = find_any_scene(app, id)?;
+    match scene.error() {
+        Some(error) if scene.is_damaged => Err(Problem::new(Kind::SceneDamaged, error)),
+        _ => Ok(scene),
+    }
+}
+
+/// A scene by its id, whatever its state.
+fn find_any_scene(app: &App, id: &str) -> ApiResult<Arc<SceneEntry>> {
     let found = app.ids.parse_scene(id).and_then(|number| app.scenes.get(number));
     found.ok_or_else(|| Problem::new(Kind::UnknownScene, format!("there is no scene {id:?}")))
 }

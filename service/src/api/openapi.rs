@@ -4,10 +4,11 @@ use utoipa::OpenApi;
 use utoipa::openapi::content::ContentBuilder;
 use utoipa::openapi::path::Operation;
 use utoipa::openapi::response::ResponseBuilder;
+use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
 use utoipa::openapi::{Ref, RefOr};
 
 use super::problem::{self, Kind, ProblemDocument};
-use super::{assets, deltas, edit_types, edits, elements, events, health, jobs, lightmap, scenes, types};
+use super::{assets, deltas, edit_types, edits, elements, events, health, jobs, lightmap, render, scenes, types};
 
 #[derive(OpenApi)]
 #[openapi(
@@ -18,8 +19,8 @@ use super::{assets, deltas, edit_types, edits, elements, events, health, jobs, l
     ),
     paths(
         scenes::create, scenes::list, scenes::get, scenes::delete, assets::create, edits::create,
-        jobs::list, jobs::get, jobs::cancel, events::of_job, events::of_scene,
-        lightmap::get, deltas::get, elements::get, health::alive, health::ready, health::problem, get
+        jobs::list, jobs::get, jobs::cancel, jobs::pause, jobs::resume, events::of_job, events::of_scene,
+        lightmap::get, deltas::get, elements::get, render::get, health::alive, health::ready, health::metrics, health::problem, get
     ),
     components(schemas(ProblemDocument, types::SnapshotEvent, types::SceneEvent, types::SceneSummary, edit_types::EditRequest)),
     tags(
@@ -36,6 +37,10 @@ struct Described;
 /// The OpenAPI document.
 pub fn document() -> utoipa::openapi::OpenApi {
     let mut document = Described::openapi();
+    let bearer = HttpBuilder::new().scheme(HttpAuthScheme::Bearer);
+    let bearer = bearer.description(Some("Where the service was started with a token file")).build();
+    let components = document.components.get_or_insert_default();
+    components.add_security_scheme("bearer", SecurityScheme::Http(bearer));
     for item in document.paths.paths.values_mut() {
         for operation in [&mut item.get, &mut item.post, &mut item.delete].into_iter().flatten() {
             add_problems(operation);
@@ -53,10 +58,11 @@ pub(super) async fn get() -> axum::Json<utoipa::openapi::OpenApi> {
 /// The problems of each operation; those of every one come on top.
 fn problems_of(operation: &str) -> &'static [Kind] {
     use Kind::{
-        EditTooLarge, InvalidJson, InvalidQuery, InvalidValue, JobEnded, KeyReused, MalformedFile, NameTaken, NotFound,
-        PayloadTooLarge, PreconditionFailed, QueueFull, SceneTooLarge, ShuttingDown, Storage, Timeout, TooManyAssets,
-        TooManyScenes, TooManyStreams, TooManyUploads, UnknownAsset, UnknownCamera, UnknownJob, UnknownLight,
-        UnknownObject, UnknownScene, UnsupportedFile, UnsupportedMediaType, VersionAhead,
+        EditTooLarge, InvalidJson, InvalidQuery, InvalidValue, JobEnded, KeyReused, MalformedFile, NameTaken, NoMemory,
+        NotFound, PayloadTooLarge, PreconditionFailed, QueueFull, SceneDamaged, SceneTooLarge, ShuttingDown, Storage,
+        Timeout, TooManyAssets, TooManyScenes, TooManyStreams, TooManyUploads, UnknownAsset, UnknownCamera, UnknownJob,
+        UnknownLight, UnknownObject, UnknownScene, UnsupportedFile, UnsupportedMediaType, VersionAhead,
+        VersionForgotten,
     };
     match operation {
         "create_scene" => &[
@@ -65,6 +71,7 @@ fn problems_of(operation: &str) -> &'static [Kind] {
             Timeout,
             NameTaken,
             TooManyScenes,
+            NoMemory,
             PayloadTooLarge,
             SceneTooLarge,
             UnsupportedMediaType,
@@ -89,6 +96,7 @@ fn problems_of(operation: &str) -> &'static [Kind] {
         "create_edit" => &[
             InvalidJson,
             UnknownScene,
+            SceneDamaged,
             Timeout,
             NameTaken,
             PreconditionFailed,
@@ -109,12 +117,13 @@ fn problems_of(operation: &str) -> &'static [Kind] {
         "get_scene" => &[UnknownScene],
         "delete_scene" => &[UnknownScene, Storage],
         "get_job" => &[UnknownJob],
-        "cancel_job" => &[UnknownJob, JobEnded],
+        "cancel_job" | "pause_job" | "resume_job" => &[UnknownJob, JobEnded, Storage],
         "job_events" => &[UnknownJob, TooManyStreams],
-        "scene_events" => &[UnknownScene, TooManyStreams],
-        "get_lightmap" => &[InvalidQuery, UnknownScene],
-        "get_deltas" => &[InvalidQuery, UnknownScene, VersionAhead, TooManyStreams],
-        "get_elements" => &[UnknownScene],
+        "scene_events" => &[UnknownScene, SceneDamaged, TooManyStreams],
+        "get_lightmap" => &[InvalidQuery, UnknownScene, SceneDamaged],
+        "get_deltas" => &[InvalidQuery, UnknownScene, SceneDamaged, VersionAhead, TooManyStreams],
+        "get_elements" => &[UnknownScene, SceneDamaged],
+        "render_scene" => &[InvalidQuery, UnknownScene, SceneDamaged, VersionForgotten],
         "describe_problem" => &[NotFound],
         "ready" => &[ShuttingDown],
         _ => &[],
@@ -122,8 +131,16 @@ fn problems_of(operation: &str) -> &'static [Kind] {
 }
 
 fn add_problems(operation: &mut Operation) {
-    let always: &[Kind] = &[Kind::BadRequest, Kind::Internal];
-    let own = problems_of(operation.operation_id.as_deref().unwrap_or_default());
+    let id = operation.operation_id.as_deref().unwrap_or_default();
+    let is_open = matches!(id, "alive" | "ready" | "openapi" | "describe_problem");
+    let always: &[Kind] = match is_open {
+        true => &[Kind::BadRequest, Kind::Internal],
+        false => &[Kind::BadRequest, Kind::Internal, Kind::Unauthorized, Kind::Forbidden],
+    };
+    let own = problems_of(id);
+    if !is_open {
+        operation.security = Some(vec![SecurityRequirement::new("bearer", [""; 0])]);
+    }
     let mut by_status = std::collections::BTreeMap::<u16, Vec<String>>::new();
     for kind in own.iter().chain(always) {
         let (slug, status, _, about) = kind.row();

@@ -70,6 +70,12 @@ impl Problem {
     }
 }
 
+impl std::fmt::Display for Problem {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.detail)
+    }
+}
+
 impl From<crate::compute::Panicked> for Problem {
     fn from(panic: crate::compute::Panicked) -> Problem {
         Problem::internal(panic)
@@ -79,7 +85,7 @@ impl From<crate::compute::Panicked> for Problem {
 impl From<crate::store::StoreError> for Problem {
     fn from(error: crate::store::StoreError) -> Problem {
         tracing::error!(%error, "not kept");
-        Problem::new(Kind::Storage, "the change could not be kept; nothing has changed").retry_after(5)
+        Problem::new(Kind::Storage, format!("{}: nothing has changed", error.reason)).retry_after(5)
     }
 }
 
@@ -124,6 +130,8 @@ kinds! {
     InvalidJson "invalid-json" BAD_REQUEST "Invalid JSON" "The body is not JSON, or not of the expected shape.";
     InvalidQuery "invalid-query" BAD_REQUEST "Invalid query" "A query parameter is unknown, malformed or out of range.";
     MalformedFile "malformed-file" BAD_REQUEST "Malformed file" "The uploaded file is not a valid binary glTF.";
+    Unauthorized "unauthorized" UNAUTHORIZED "Unauthorized" "The call needs a bearer token that the service knows.";
+    Forbidden "forbidden" FORBIDDEN "Forbidden" "The token's scopes do not allow this call.";
     NotFound "not-found" NOT_FOUND "Not found" "There is nothing at this path.";
     UnknownScene "unknown-scene" NOT_FOUND "Unknown scene" "There is no such scene, or it was deleted.";
     UnknownJob "unknown-job" NOT_FOUND "Unknown job" "There is no such job, or it ended long ago and was forgotten.";
@@ -132,8 +140,10 @@ kinds! {
     NameTaken "name-taken" CONFLICT "Name taken" "The scene has something of that name already.";
     JobEnded "job-ended" CONFLICT "Job ended" "The job has ended and cannot be canceled.";
     TooManyScenes "too-many-scenes" CONFLICT "Too many scenes" "The service holds as many scenes as it may; delete one.";
+    NoMemory "no-memory" CONFLICT "Not enough memory" "The scene does not fit beside the others; delete one, or choose a larger spacing.";
     TooManyAssets "too-many-assets" CONFLICT "Too many assets" "The service holds as many assets, or bytes of assets, as it may.";
     VersionAhead "version-ahead" CONFLICT "Version ahead" "The client's version is newer than the scene's: it belongs to something else. Start over from version 0.";
+    VersionForgotten "version-forgotten" GONE "Version forgotten" "The version that a change is to be shown against is not kept.";
     PreconditionFailed "precondition-failed" PRECONDITION_FAILED "Precondition failed" "The scene has moved on to another version than If-Match names.";
     PayloadTooLarge "payload-too-large" PAYLOAD_TOO_LARGE "Payload too large" "The body is larger than the service takes.";
     SceneTooLarge "scene-too-large" PAYLOAD_TOO_LARGE "Scene too large" "The scene has more triangles, elements or other parts than the service takes.";
@@ -149,8 +159,8 @@ kinds! {
     QueueFull "queue-full" TOO_MANY_REQUESTS "Queue full" "Too many jobs wait already.";
     TooManyUploads "too-many-uploads" TOO_MANY_REQUESTS "Too many uploads" "Too many uploads are under way.";
     TooManyStreams "too-many-streams" TOO_MANY_REQUESTS "Too many streams" "Too many event and delta streams are open.";
+    SceneDamaged "scene-damaged" INTERNAL_SERVER_ERROR "Scene damaged" "What was kept of the scene cannot be read any more. It can be looked at and deleted.";
     Internal "internal" INTERNAL_SERVER_ERROR "Internal error" "The service failed. Nothing that was acknowledged is lost.";
-    NotImplemented "not-implemented" NOT_IMPLEMENTED "Not implemented" "This call is planned and not there yet.";
     ShuttingDown "shutting-down" SERVICE_UNAVAILABLE "Shutting down" "The service is about to end and takes no new work.";
     Storage "storage" SERVICE_UNAVAILABLE "Storage failed" "The change could not be kept; nothing has changed.";
 }

@@ -20,13 +20,15 @@ use super::extract::{ApiPath, ApiQuery, read_body, require_content_type};
 use super::paging::Page;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::{self, SceneMode, finite};
-use super::{Shared, etag, find_scene, require_serving};
+use super::{Shared, etag, find_any_scene, require_serving};
 use crate::engine::{self, LoadError, SurfaceError, World, WorldError};
-use crate::jobs::JobSpec;
-use crate::jobs::queue::{Full, JobKind};
+use crate::jobs::queue::{Full, JobKind, Priority};
+use crate::jobs::{JobSpec, new_record};
+use crate::memory;
 use crate::state::App;
-use crate::store::scenes::{NewScene, SceneEntry};
-use crate::store::versions::Published;
+use crate::store::records::SceneRecord;
+use crate::store::scenes::{NewScene, Reservation, SceneEntry};
+use crate::store::versions::{FIRST_RESERVE, Published};
 
 /// Media types of an uploaded file.
 pub(super) const GLB_TYPES: &[&str] = &["model/gltf-binary", "application/octet-stream"];
@@ -79,38 +81,65 @@ pub(super) async fn create(
     let reservation = app.scenes.reserve(app.config.limits.scenes).ok_or_else(full)?;
     let permit = upload_permit(&app).await?;
     let glb = read_body(&app, &headers, body, app.config.limits.upload_bytes).await?;
+    let its_app = app.clone();
+    let build = move || {
+        let _permit = permit;
+        create_scene(&its_app, &reservation, options, &glb)
+    };
+    let (scene, bake) = app.compute.build(build).await??;
+    let location = format!("/v1/scenes/{}", scene.id);
+    let mut body = scene_json(&app, &scene).await?;
+    // Also where it is done by now.
+    body.current_job = bake;
+    Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(body)).into_response())
+}
+
+/// Builds a scene, keeps it with its bake, and lets everybody see both; answers the scene and the bake's id.
+fn create_scene(
+    app: &Arc<App>,
+    reservation: &Reservation,
+    options: Options,
+    glb: &Bytes,
+) -> ApiResult<(Arc<SceneEntry>, Option<String>)> {
+    let world = build_world(app, glb, options.spacing, options.environment)?;
+    let record = SceneRecord {
+        name: options.name,
+        mode: options.mode.into(),
+        spacing: world.spacing(),
+        environment: options.environment.map(|radiance| radiance.to_array()),
+        created_at: Timestamp::now(),
+    };
     let new = NewScene {
         number: reservation.number,
         id: app.ids.scene(reservation.number),
-        name: options.name,
-        mode: options.mode.into(),
-        created_at: Timestamp::now(),
+        name: record.name.clone(),
+        mode: record.mode,
+        created_at: record.created_at,
+        first_event: app.first_event,
+        reserved: FIRST_RESERVE,
+        error: None,
+        is_damaged: false,
     };
-    let (its_app, spacing, environment) = (app.clone(), options.spacing, options.environment);
-    let build = move || {
-        let _permit = permit;
-        let world = build_world(&its_app, &glb, spacing, environment)?;
-        its_app.store.scene_created(&new.id, &glb)?;
-        let limits = &its_app.config.limits;
-        let scene = SceneEntry::new(new, world, limits.events, limits.idempotency_keys);
-        scene.published().objects();
-        ApiResult::Ok(Arc::new(scene))
-    };
-    let scene = app.compute.build(build).await??;
-    app.scenes.insert(scene.clone());
-    drop(reservation);
-    if let Some(budget) = options.bake {
-        let mut head = scene.head.lock().await;
-        let seed = next_seed(&mut head.jobs);
-        let spec = JobSpec { kind: JobKind::Bake, budget, focus: None, seed, sequence: 0 };
-        if let Err(full) = app.submit(&scene, spec, |_| ()) {
-            app.scenes.remove(scene.number);
-            return Err(full_problem(full));
+    let scene = Arc::new(SceneEntry::new(new, world, &app.config.limits));
+    // Nobody else sees the scene yet.
+    let mut head = scene.head.blocking_lock();
+    let bake = match options.bake {
+        None => None,
+        Some(budget) => {
+            let (kind, priority) = (JobKind::Bake, Priority::Normal);
+            let seed = next_seed(&mut head.jobs);
+            let spec = JobSpec { kind, priority, budget, focus: None, seed, sequence: 0 };
+            let ticket = app.ticket(scene.number).map_err(full_problem)?;
+            let job = new_record(ticket.number, &scene, &spec);
+            Some((ticket, job))
         }
-    }
-    let location = format!("/v1/scenes/{}", scene.id);
-    let body = scene_json(&app, &scene).await?;
-    Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(body)).into_response())
+    };
+    app.store.scene_created(scene.number, &record, glb, bake.as_ref().map(|(_, job)| job))?;
+    scene.published().objects();
+    app.scenes.insert(scene.clone());
+    let bake = bake.map(|(ticket, job)| app.ids.job(ticket.submit(&scene, &job, || ()).number));
+    drop(head);
+    Ok((scene, bake))
 }
 
 /// A query, checked.
@@ -167,6 +196,15 @@ fn build_world(app: &App, glb: &Bytes, spacing: Option<f32>, environment: Option
         let reason = "the file has a light named \"environment\" already";
         return Err(Problem::field(Kind::NameTaken, "environment", reason));
     }
+    let bytes = memory::estimate(&scene, spacing);
+    let limit = app.config.limits.memory_bytes;
+    let _promise = app.promise_memory(bytes).map_err(|free| {
+        let text = format!("the scene would take about {} MiB", bytes >> 20);
+        match bytes > limit {
+            true => Problem::new(Kind::SceneTooLarge, format!("{text}, the service has {} MiB", limit >> 20)),
+            false => Problem::new(Kind::NoMemory, format!("{text}, {} MiB are free", free >> 20)),
+        }
+    })?;
     engine::build(scene, spacing, &app.config.limits).map_err(|error| match error {
         WorldError::TooLarge { .. } | WorldError::Surface { source: SurfaceError::TooManyElements { .. }, .. } => {
             Problem::new(Kind::SceneTooLarge, error.to_string())
@@ -199,7 +237,7 @@ pub(super) async fn upload_permit(app: &App) -> ApiResult<OwnedSemaphorePermit> 
 
 /// The seed of a scene's next job. It depends on nothing but how many jobs the scene had, so the same scene and the
 /// same edits give the same light map, bit for bit, whatever else the service does.
-pub(super) fn next_seed(jobs: &mut u64) -> u64 {
+pub(crate) fn next_seed(jobs: &mut u64) -> u64 {
     *jobs += 1;
     // SplitMix64: neighbouring counters, unrelated seeds.
     let mut z = jobs.wrapping_mul(0x9E37_79B9_7F4A_7C15);
@@ -244,7 +282,7 @@ pub(super) async fn list(
         headers(("ETag" = String, description = "Version of the light map"))))
 )]
 pub(super) async fn get(State(app): Shared, ApiPath(id): ApiPath<String>) -> ApiResult<Response> {
-    let scene = find_scene(&app, &id)?;
+    let scene = find_any_scene(&app, &id)?;
     let body = scene_json(&app, &scene).await?;
     Ok(([(header::ETAG, etag(body.version))], Json(body)).into_response())
 }
@@ -256,15 +294,16 @@ pub(super) async fn get(State(app): Shared, ApiPath(id): ApiPath<String>) -> Api
     responses((status = 204, description = "Deleted"))
 )]
 pub(super) async fn delete(State(app): Shared, ApiPath(id): ApiPath<String>) -> ApiResult<StatusCode> {
-    let scene = find_scene(&app, &id)?;
+    let scene = find_any_scene(&app, &id)?;
     // No edit is accepted in between: it would queue a job for a scene that is gone.
     let _head = scene.head.lock().await;
-    let (its_app, its_id) = (app.clone(), scene.id.clone());
-    app.compute.run(move || its_app.store.scene_deleted(&its_id)).await??;
+    let (its_app, number) = (app.clone(), scene.number);
+    app.compute.run(move || its_app.store.scene_deleted(number)).await??;
     if app.scenes.remove(scene.number).is_none() {
         return Err(Problem::new(Kind::UnknownScene, format!("there is no scene {id:?}")));
     }
     app.cancel_scene(&scene);
+    app.pictures.forget(scene.number);
     let published = scene.published();
     let event = types::SceneEvent {
         scene: scene.id.clone(),
@@ -293,6 +332,7 @@ pub(super) fn summary(app: &App, scene: &SceneEntry) -> types::SceneSummary {
         elements: published.world.slots() as u64,
         object_count: published.world.scene.objects.len() as u64,
         current_job: current_job(app, scene),
+        error: scene.error(),
         created_at: scene.created_at,
     }
 }
@@ -328,6 +368,7 @@ fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::
         warnings: world.scene.warnings.clone(),
         degenerate_triangles: world.scene.degenerate_triangles as u64,
         current_job: current_job(app, scene),
+        error: scene.error(),
         created_at: scene.created_at,
     }
 }

@@ -1,10 +1,11 @@
 //! A span, an id and a log line per request; a panic becomes an answer.
 
 use std::panic::AssertUnwindSafe;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
-use axum::extract::{MatchedPath, Request};
+use axum::extract::{MatchedPath, Request, State};
 use axum::http::{HeaderName, HeaderValue};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
@@ -12,20 +13,22 @@ use futures_util::FutureExt;
 use tracing::Instrument;
 
 use super::problem::Problem;
+use crate::state::App;
 
 static REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 static COUNT: AtomicU64 = AtomicU64::new(1);
 
 /// Wraps every request.
-pub(super) async fn requests(request: Request, next: Next) -> Response {
+pub(super) async fn requests(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
     let id = request_id(&request);
     let route = request.extensions().get::<MatchedPath>().map_or("-", MatchedPath::as_str).to_owned();
+    let method = request.method().clone();
     let span = tracing::info_span!(
         "request",
         id = id.to_str().unwrap_or_default(),
-        method = %request.method(),
+        %method,
         path = request.uri().path(),
-        route,
+        route = route.as_str(),
     );
     let started = Instant::now();
     let answer = AssertUnwindSafe(next.run(request)).catch_unwind();
@@ -35,6 +38,7 @@ pub(super) async fn requests(request: Request, next: Next) -> Response {
             Err(_panic) => Problem::internal("a handler panicked").into_response(),
         };
         let (status, ms) = (response.status().as_u16(), started.elapsed().as_secs_f64() * 1e3);
+        app.metrics.answered(method.as_str(), &route, status, ms / 1e3);
         if response.status().is_server_error() {
             tracing::warn!(status, ms, "answered");
         } else {

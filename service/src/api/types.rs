@@ -7,7 +7,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-pub use super::job_types::{Job, JobKind, JobProgress, JobState};
+pub use super::job_types::{Job, JobKind, JobPriority, JobProgress, JobState};
 use crate::engine;
 use crate::store::versions::{Layer, Mode};
 
@@ -112,6 +112,8 @@ pub struct Scene {
     /// The job that runs on the scene, else the next one.
     #[schema(example = "j4-k3f9qz")]
     pub current_job: Option<String>,
+    /// What is wrong with it: it is damaged, or its light could not be saved.
+    pub error: Option<String>,
     /// When it was uploaded.
     #[schema(value_type = String, format = DateTime, example = "2026-11-23T09:00:00Z")]
     pub created_at: Timestamp,
@@ -138,6 +140,8 @@ pub struct SceneSummary {
     pub object_count: u64,
     /// The job that runs on the scene, else the next one.
     pub current_job: Option<String>,
+    /// What is wrong with it: it is damaged, or its light could not be saved.
+    pub error: Option<String>,
     /// When it was uploaded.
     #[schema(value_type = String, format = DateTime, example = "2026-11-23T09:00:00Z")]
     pub created_at: Timestamp,
@@ -180,6 +184,9 @@ pub struct Object {
     /// Mean diffuse albedo, linear RGB.
     #[schema(example = json!([0.6, 0.1, 0.1]))]
     pub albedo: [f32; 3],
+    /// Object space to world space, column-major, metres: what `move` replaces.
+    #[schema(example = json!([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.5, 0, 2, 1]))]
+    pub transform: [f64; 16],
 }
 
 impl Object {
@@ -192,6 +199,7 @@ impl Object {
             triangles: object.triangles,
             bounds: Bounds { min: object.bounds.0.to_array(), max: object.bounds.1.to_array() },
             albedo: object.albedo.to_array(),
+            transform: object.world_from_object.to_cols_array(),
         }
     }
 }

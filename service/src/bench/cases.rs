@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use glam::{DMat4, Vec3};
 use rebake_core::scene::{LightKind, LoadLimits, Scene, load_glb};
 use rebake_core::{Edit, Transition, World, WorldOptions};
@@ -62,60 +62,125 @@ pub struct PreparedCase {
     pub edits: Vec<Edit>,
     /// To the world after the edit.
     pub transition: Transition,
+    /// The world after the edit with one tree over everything: what a bake from scratch would have built.
+    pub after: World,
 }
 
 impl EditFile {
     /// Reads a file of cases.
     pub fn read(path: &Path) -> Result<EditFile> {
-        let text = std::fs::read_to_string(path).with_context(|| format!("{}", path.display()))?;
-        serde_json::from_str(&text).with_context(|| format!("{} is not a file of edit cases", path.display()))
+        let cannot = || format!("cannot read {}", path.display());
+        let text = std::fs::read_to_string(path).with_context(cannot)?;
+        EditFile::from_json(&text).with_context(cannot)
+    }
+
+    /// Cases from the text of a file. Errors name the field at fault.
+    pub fn from_json(text: &str) -> Result<EditFile> {
+        let mut json = serde_json::Deserializer::from_str(text);
+        let file: EditFile = serde_path_to_error::deserialize(&mut json)?;
+        json.end()?;
+        ensure!(!file.cases.is_empty(), "cases: is empty");
+        Ok(file)
     }
 }
 
 impl Case {
-    /// Loads what the case needs from `folder` and applies it.
+    /// Loads what the case needs from `folder` and applies it. Errors name the field at fault.
     pub fn prepare(&self, scene: &Scene, folder: &Path, options: &WorldOptions) -> Result<PreparedCase> {
-        let transform = self.transform.map_or(DMat4::IDENTITY, |t| DMat4::from_cols_array(&t));
+        let (before, edits) = self.edits(scene, folder)?;
+        let before = World::new(before, options)?;
+        let transition = before.apply(&edits)?;
+        let trees = transition.after.rebuilt_trees();
+        let after = transition.after.with_trees(trees).context("the trees do not fit the scene")?;
+        Ok(PreparedCase { name: self.name.clone(), before, edits, transition, after })
+    }
+
+    /// The scene before the edit, and the edit as a client would send it.
+    fn edits(&self, scene: &Scene, folder: &Path) -> Result<(Scene, Vec<Edit>)> {
         let names = self.named_objects(scene)?;
+        if names.is_empty() && !(self.edit == CaseKind::Insert && self.asset.is_some()) {
+            bail!(
+                "objects: name at least one{}",
+                if self.edit == CaseKind::Insert { ", or give an asset" } else { "" }
+            );
+        }
         let mut before = scene.clone();
         let edits = match self.edit {
             CaseKind::Insert => {
                 let asset = match &self.asset {
-                    Some(path) => {
-                        let path = folder.join(path);
-                        let bytes = std::fs::read(&path).with_context(|| format!("{}", path.display()))?;
-                        load_glb(&bytes, &LoadLimits::default())?
-                    }
-                    None if names.is_empty() => bail!("case {:?}: objects or an asset are needed", self.name),
+                    Some(_) if !names.is_empty() => bail!("asset: give either objects or an asset, not both"),
+                    Some(path) => load_asset(&folder.join(path)).context("asset")?,
                     None => take_out(&mut before, &names),
                 };
-                vec![Edit::Insert { asset: Arc::new(asset), name: format!("inserted: {}", self.name), transform }]
+                let name = format!("inserted: {}", self.name);
+                vec![Edit::Insert {
+                    asset: Arc::new(asset),
+                    name,
+                    transform: self.transform.map_or(DMat4::IDENTITY, |t| matrix(&t)),
+                }]
             }
             CaseKind::Remove => vec![Edit::Remove { objects: names }],
-            CaseKind::Move => names.into_iter().map(|object| Edit::Move { object, transform }).collect(),
+            CaseKind::Move => {
+                let transform = matrix(&self.transform.context("transform: is missing")?);
+                names.into_iter().map(|object| Edit::Move { object, transform }).collect()
+            }
             CaseKind::Material => {
-                let albedo = Vec3::from(self.albedo.with_context(|| format!("case {:?}: albedo is missing", self.name))?);
+                let albedo = Vec3::from(self.albedo.context("albedo: is missing")?);
                 names.into_iter().map(|object| Edit::Material { object, albedo }).collect()
             }
         };
-        let before = World::new(before, options)?;
-        let transition = before.apply(&edits)?;
-        Ok(PreparedCase { name: self.name.clone(), before, edits, transition })
+        Ok((before, edits))
     }
 
     fn named_objects(&self, scene: &Scene) -> Result<Vec<String>> {
-        let mut names = Vec::new();
-        for pattern in &self.objects {
-            let regular = |name: &str| rebake_core::edit::name_matches(pattern, name);
-            let found: Vec<String> =
-                scene.objects.iter().filter(|o| regular(&o.name)).map(|o| o.name.clone()).collect();
-            if found.is_empty() {
-                bail!("case {:?}: the scene has no object {pattern:?}", self.name);
+        let mut names: Vec<String> = Vec::new();
+        for (k, pattern) in self.objects.iter().enumerate() {
+            let matches = |name: &str| rebake_core::edit::name_matches(pattern, name);
+            let found = names.len();
+            let new = scene.objects.iter().filter(|o| matches(&o.name) && !names.contains(&o.name));
+            let new: Vec<String> = new.map(|o| o.name.clone()).collect();
+            names.extend(new);
+            if names.len() == found && !names.iter().any(|name| matches(name)) {
+                bail!("objects[{k}]: the scene has no object {pattern:?}");
             }
-            names.extend(found);
         }
         Ok(names)
     }
+}
+
+impl PreparedCase {
+    /// Area of the edited objects over that of the scene that holds them.
+    pub fn edited_share(&self) -> f64 {
+        let edited = |name: &str| {
+            self.edits.iter().any(|edit| match edit {
+                Edit::Insert { name: inserted, .. } => inserted == name,
+                Edit::Remove { objects } => objects.iter().any(|o| o == name),
+                Edit::Move { object, .. } | Edit::Material { object, .. } => object == name,
+                _ => false,
+            })
+        };
+        let inserts = self.edits.iter().any(|edit| matches!(edit, Edit::Insert { .. }));
+        let world = if inserts { &self.transition.after } else { &self.before };
+        let (mut part, mut all) = (0.0, 0.0);
+        for object in world.objects() {
+            let first = object.first_element as usize;
+            let area: f64 =
+                world.areas()[first..first + object.element_count as usize].iter().copied().map(f64::from).sum();
+            all += area;
+            part += if edited(object.name) { area } else { 0.0 };
+        }
+        part / all
+    }
+}
+
+fn matrix(columns: &[f64; 16]) -> DMat4 {
+    DMat4::from_cols_array(columns)
+}
+
+fn load_asset(path: &Path) -> Result<Scene> {
+    let cannot = || format!("cannot load {}", path.display());
+    let bytes = std::fs::read(path).with_context(cannot)?;
+    load_glb(&bytes, &LoadLimits::default()).with_context(cannot)
 }
 
 /// Moves objects, with the lights on them, into a scene of their own.

@@ -2,8 +2,25 @@
 
 mod cases;
 mod methods;
+mod plot;
 mod reference;
+mod report;
+mod run;
 
-pub use cases::{Case, EditFile, PreparedCase};
-pub use methods::{Method, Timed, run_method};
+pub use cases::{Case, CaseKind, EditFile, PreparedCase};
+pub use methods::{Goal, Method, Timed, run_method};
+pub use plot::svg;
+pub use rebake_core::paper::Equation;
 pub use reference::{Measured, Reference};
+pub use report::{BaseReport, CaseReport, ReferenceReport, Report, RunReport};
+pub use run::{Options, Watcher, run};
+
+/// Which part of the light map errors are measured on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Mode {
+    /// Direct + indirect.
+    Full,
+    /// Indirect only, as the published method is measured.
+    Indirect,
+}

@@ -1,101 +1,187 @@
-//! Truth of known noise: path tracing of a subset of the elements, drawn by area.
+//! Truth of known noise: path tracing of elements drawn by area, in two independent halves.
+//!
+//! With halves `r₁`, `r₂` of a reference and any two estimates `a`, `b` whose own noise is independent of it,
+//! `E[(a − r₁)(b − r₂)] = E[(a − t)(b − t)]` for the truth `t`: the reference's noise drops out, and does not have to
+//! be estimated and subtracted. With `a = b` that is the squared error of a light map; with `a` and `b` from
+//! independent runs it is its squared bias.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use rebake_core::path::{PathTraced, path_trace};
 use rebake_core::{LightMap, Unobserved, World};
 
+use super::Mode;
+
 /// Path-traced values of elements drawn with probability proportional to area.
 pub struct Reference {
-    /// Element slots; one may occur more than once.
+    /// Element slots, ascending; one may occur more than once.
     pub slots: Vec<u32>,
-    /// Their values.
-    pub values: Vec<PathTraced>,
-    /// Paths per element.
+    /// Paths per element, both halves together.
     pub samples: u32,
+    halves: [Vec<PathTraced>; 2],
 }
 
-/// Error of a light map against a reference.
-#[derive(Clone, Copy, Debug)]
+/// Mean over the reference's elements, with its standard error.
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Measured {
-    /// Area-weighted RMSE over RGB of direct + indirect, the reference's noise taken out.
-    pub rmse: f64,
-    /// The same of the indirect part.
-    pub rmse_indirect: f64,
-    /// Area-weighted mean of the map over that of the reference, direct + indirect.
-    pub mean_ratio: f64,
-    /// The same of the indirect part.
-    pub mean_ratio_indirect: f64,
+    /// Estimate of a mean square; noise can make it negative where it is near zero.
+    pub mean: f64,
+    /// Standard error, from the scatter over elements.
+    pub error: f64,
+}
+
+impl Measured {
+    /// Root of the mean square, zero where noise hides it.
+    pub fn root(&self) -> f64 {
+        self.mean.max(0.0).sqrt()
+    }
+
+    /// Standard error of [`Measured::root`]; where noise hides the root, what noise could pass for one.
+    pub fn root_error(&self) -> f64 {
+        let root = self.root();
+        if self.mean > self.error { self.error / (2.0 * root) } else { self.error.sqrt() }
+    }
+}
+
+/// One value of a light map, RGB, as it is measured.
+fn value(map: &LightMap, slot: usize, mode: Mode) -> DVec3 {
+    match mode {
+        Mode::Full => map.total(slot).as_dvec3(),
+        Mode::Indirect => map.indirect[slot].as_dvec3(),
+    }
 }
 
 impl Reference {
     /// Draws `count` valid elements by systematic sampling over the area and traces `samples` paths for each.
     pub fn trace(world: &World, count: usize, samples: u32, seed: u64) -> Reference {
-        let areas = world.areas();
-        let valid = |i: &usize| areas[*i] > 0.0 && world.is_valid(*i);
-        let total: f64 = (0..world.slots()).filter(valid).map(|i| f64::from(areas[i])).sum();
-        let step = total / count as f64;
-        let (mut slots, mut covered, mut next) = (Vec::with_capacity(count), 0.0, 0.37 * step);
-        for i in (0..world.slots()).filter(valid) {
-            covered += f64::from(areas[i]);
-            while next < covered {
-                slots.push(i as u32);
-                next += step;
-            }
-        }
+        let slots = draw(world, count);
         let mut distinct = slots.clone();
         distinct.dedup();
-        let traced = path_trace(world, &distinct, samples, seed, &Unobserved).map(|(v, _)| v).unwrap_or_default();
-        let values = slots.iter().map(|s| traced[distinct.partition_point(|d| d < s)]).collect();
-        Reference { slots, values, samples }
+        let half = samples.div_ceil(2).max(1);
+        let trace = |seed| {
+            let traced = path_trace(world, &distinct, half, seed, &Unobserved).map(|(v, _)| v).unwrap_or_default();
+            slots.iter().map(|s| traced[distinct.partition_point(|d| d < s)]).collect()
+        };
+        // Far from the seeds of the methods, which count up from the user's.
+        let halves = [trace(seed ^ 0x5eed_0001_0000_0000), trace(seed ^ 0x5eed_0002_0000_0000)];
+        Reference { slots, samples: 2 * half, halves }
     }
 
-    /// Root of the mean variance of the reference itself.
-    pub fn noise(&self) -> f64 {
-        self.mean(|v| v.total_variance.as_dvec3().element_sum() / 3.0).sqrt()
-    }
-
-    /// The same of the indirect part.
-    pub fn noise_indirect(&self) -> f64 {
-        self.mean(|v| v.indirect_variance.as_dvec3().element_sum() / 3.0).sqrt()
-    }
-
-    /// Area-weighted mean of direct + indirect, over RGB.
-    pub fn mean_total(&self) -> f64 {
-        self.mean(|v| (v.direct + v.indirect).as_dvec3().element_sum() / 3.0)
-    }
-
-    /// Area-weighted mean of the indirect part, over RGB.
-    pub fn mean_indirect(&self) -> f64 {
-        self.mean(|v| v.indirect.as_dvec3().element_sum() / 3.0)
-    }
-
-    fn mean(&self, f: impl Fn(&PathTraced) -> f64) -> f64 {
-        self.values.iter().map(f).sum::<f64>() / self.values.len().max(1) as f64
-    }
-
-    /// Measures a light map.
-    pub fn measure(&self, map: &LightMap) -> Measured {
-        self.measure_values(|slot| (map.direct[slot], map.indirect[slot]))
-    }
-
-    /// Measures (direct, indirect) per slot.
-    pub fn measure_values(&self, value: impl Fn(usize) -> (Vec3, Vec3)) -> Measured {
-        let (mut total, mut indirect) = (0.0, 0.0);
-        let (mut sum, mut sum_indirect) = (DVec3::ZERO, DVec3::ZERO);
-        for (&slot, v) in self.slots.iter().zip(&self.values) {
-            let (d, i) = value(slot as usize);
-            total += (d + i - v.direct - v.indirect).as_dvec3().length_squared() / 3.0;
-            indirect += (i - v.indirect).as_dvec3().length_squared() / 3.0;
-            sum += (d + i).as_dvec3();
-            sum_indirect += i.as_dvec3();
+    fn truth(&self, half: usize, k: usize, mode: Mode) -> DVec3 {
+        let v = &self.halves[half][k];
+        match mode {
+            Mode::Full => (v.direct + v.indirect).as_dvec3(),
+            Mode::Indirect => v.indirect.as_dvec3(),
         }
+    }
+
+    /// Area-weighted RMSE of the reference itself, the mean of both halves: half of what they differ by.
+    pub fn noise(&self, mode: Mode) -> f64 {
+        let difference = |k| self.truth(0, k, mode) - self.truth(1, k, mode);
+        (0.25 * self.over_elements(|k| mean_square(difference(k), difference(k))).mean).max(0.0).sqrt()
+    }
+
+    /// Area-weighted mean over RGB.
+    pub fn mean(&self, mode: Mode) -> f64 {
+        self.over_elements(|k| (self.truth(0, k, mode) + self.truth(1, k, mode)).element_sum() / 6.0).mean
+    }
+
+    /// Area-weighted mean square error over RGB of a light map.
+    pub fn mean_square_error(&self, map: &LightMap, mode: Mode) -> Measured {
+        self.product(map, map, mode)
+    }
+
+    /// Area-weighted mean square bias of a method, from maps of independent runs: the mean over all pairs of runs of
+    /// the product of their errors, to which only what they have in common contributes. None for a single run.
+    pub fn mean_square_bias(&self, maps: &[&LightMap], mode: Mode) -> Option<Measured> {
+        let n = maps.len();
+        (n > 1).then(|| {
+            self.over_elements(|k| {
+                let (mut a, mut b, mut same) = (DVec3::ZERO, DVec3::ZERO, 0.0);
+                for map in maps {
+                    let x = value(map, self.slots[k] as usize, mode);
+                    let (e, f) = (x - self.truth(0, k, mode), x - self.truth(1, k, mode));
+                    a += e;
+                    b += f;
+                    same += mean_square(e, f);
+                }
+                (mean_square(a, b) - same) / (n * (n - 1)) as f64
+            })
+        })
+    }
+
+    fn product(&self, a: &LightMap, b: &LightMap, mode: Mode) -> Measured {
+        self.over_elements(|k| {
+            let slot = self.slots[k] as usize;
+            mean_square(value(a, slot, mode) - self.truth(0, k, mode), value(b, slot, mode) - self.truth(1, k, mode))
+        })
+    }
+
+    /// Mean of `f(k)` over the drawn elements, which is the area-weighted mean over the light map.
+    fn over_elements(&self, f: impl Fn(usize) -> f64) -> Measured {
         let n = self.slots.len().max(1) as f64;
-        let mean = |s: DVec3| s.element_sum() / 3.0 / n;
-        Measured {
-            rmse: (total / n - self.noise().powi(2)).max(0.0).sqrt(),
-            rmse_indirect: (indirect / n - self.noise_indirect().powi(2)).max(0.0).sqrt(),
-            mean_ratio: mean(sum) / self.mean_total(),
-            mean_ratio_indirect: mean(sum_indirect) / self.mean_indirect(),
+        let (mut sum, mut squares) = (0.0, 0.0);
+        for x in (0..self.slots.len()).map(f) {
+            sum += x;
+            squares += x * x;
         }
+        let mean = sum / n;
+        Measured { mean, error: ((squares / n - mean * mean).max(0.0) / n).sqrt() }
+    }
+}
+
+fn mean_square(a: DVec3, b: DVec3) -> f64 {
+    a.dot(b) / 3.0
+}
+
+/// Systematic sampling over the area of all valid elements.
+fn draw(world: &World, count: usize) -> Vec<u32> {
+    let areas = world.areas();
+    let valid = |i: &usize| areas[*i] > 0.0 && world.is_valid(*i);
+    let total: f64 = (0..world.slots()).filter(valid).map(|i| f64::from(areas[i])).sum();
+    let step = total / count as f64;
+    let (mut slots, mut covered, mut next) = (Vec::with_capacity(count), 0.0, 0.37 * step);
+    for i in (0..world.slots()).filter(valid) {
+        covered += f64::from(areas[i]);
+        while next < covered {
+            slots.push(i as u32);
+            next += step;
+        }
+    }
+    slots
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+    use rebake_core::random::Pcg32;
+
+    use super::*;
+
+    /// Maps of known bias and noise against a reference of known noise: both come out, the reference's noise does not.
+    #[test]
+    fn noise_of_the_reference_drops_out_and_bias_is_told_from_noise() {
+        let n = 40_000;
+        let mut rng = Pcg32::new(1, 1);
+        let mut noisy = |mean: f32, deviation: f32| -> Vec<Vec3> {
+            let uniform = (0..n).map(|_| mean + deviation * 12f32.sqrt() * (rng.next_f32() - 0.5));
+            uniform.map(Vec3::splat).collect()
+        };
+        let mut half = || {
+            let values = noisy(1.0, 0.3);
+            values.into_iter().map(|indirect| PathTraced { indirect, ..PathTraced::default() }).collect()
+        };
+        let halves = [half(), half()];
+        let maps: Vec<LightMap> =
+            (0..3).map(|_| LightMap { indirect: noisy(1.02, 0.1), ..LightMap::black(n) }).collect();
+        let reference = Reference { slots: (0..n as u32).collect(), samples: 2, halves };
+        let error = reference.mean_square_error(&maps[0], Mode::Indirect);
+        let bias = reference.mean_square_bias(&maps.iter().collect::<Vec<_>>(), Mode::Indirect).expect("three runs");
+        let truth = 0.1f64.powi(2) + 0.02f64.powi(2);
+        assert!((error.mean - truth).abs() < 5.0 * error.error, "{error:?} against {truth}");
+        assert!((bias.mean - 4e-4).abs() < 5.0 * bias.error, "{bias:?} against 4e-4");
+        assert!(bias.error < 3e-4 && error.error < 1e-3, "{bias:?} {error:?}: a test that sees nothing");
+        let noise = reference.noise(Mode::Indirect);
+        assert!((noise / (0.3 / 2f64.sqrt()) - 1.0).abs() < 0.02, "{noise}");
+        assert!(reference.mean_square_bias(&[&maps[0]], Mode::Indirect).is_none());
     }
 }

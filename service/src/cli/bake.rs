@@ -105,7 +105,7 @@ pub(super) async fn bake(args: BakeArgs) -> anyhow::Result<()> {
 
 fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
     let start = Instant::now();
-    let scene = load_scene(args)?;
+    let scene = load_scene(&args.file, args.environment)?;
     // Opened now: a place that cannot be written is better known before the bake than after it.
     let mut out = Replacement::begin(&args.output)?;
     let spinner = ui::spinner("elements");
@@ -146,14 +146,15 @@ fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
     if interrupted { Err(Interrupted("; what there was by then is written").into()) } else { Ok(()) }
 }
 
-fn load_scene(args: &BakeArgs) -> anyhow::Result<Scene> {
-    let cannot = || format!("cannot load {}", args.file.display());
-    let glb = std::fs::read(&args.file).with_context(cannot)?;
+/// Loads a file, says what it asked for and does not get, and adds light from outside.
+pub(super) fn load_scene(file: &Path, environment: Option<Rgb>) -> anyhow::Result<Scene> {
+    let cannot = || format!("cannot load {}", file.display());
+    let glb = std::fs::read(file).with_context(cannot)?;
     let mut scene = load_glb(&glb, &LoadLimits::default()).with_context(cannot)?;
     for warning in &scene.warnings {
         ui::note(&format!("warning: {warning}"));
     }
-    if let Some(Rgb(radiance)) = args.environment {
+    if let Some(Rgb(radiance)) = environment {
         let taken = scene.lights.iter().any(|light| light.name == "environment");
         anyhow::ensure!(!taken, "--environment: the scene has a light of the name \"environment\"");
         let color = Vec3::from_array(radiance.map(|x| x as f32));

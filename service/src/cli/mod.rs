@@ -1,9 +1,12 @@
 //! The command line. Results go to standard output, everything else to standard error.
 
 mod bake;
+mod bench;
+mod compare;
 mod demo;
 mod exit;
 mod remote;
+mod render;
 mod serve;
 mod ui;
 mod values;
@@ -31,6 +34,7 @@ With a service:
   rebake watch $ID                         one line per new version of its light map
   rebake edit $ID --wait insert chair.glb --at 1,0,2
   rebake edit $ID --wait remove chair
+  rebake render $ID -o room.png            a picture
   rebake pull $ID -o room.glb              the subdivided mesh with the light map as COLOR_0
 
 Exit status: 0 done, 1 failed, 2 wrong usage, 3 the service refused, 4 the job failed or was canceled, \
@@ -52,6 +56,8 @@ enum Command {
     Demo(demo::DemoArgs),
     /// Bake the light map of a scene file, without a service
     Bake(bake::BakeArgs),
+    /// Measure speed against error of updates and of bakes from scratch, side by side
+    Bench(bench::BenchArgs),
     /// Upload a scene and bake it
     Push(remote::PushArgs),
     /// Change a scene: insert, remove, move or repaint objects, change lights
@@ -60,6 +66,10 @@ enum Command {
     Watch(remote::WatchArgs),
     /// Save a scene's light map to a file
     Pull(remote::PullArgs),
+    /// Draw a picture of a scene, or of a file after baking it
+    Render(Box<render::RenderArgs>),
+    /// Compare two pictures or light maps: RMSE, FLIP, a picture of the difference
+    Compare(compare::CompareArgs),
     /// Ask a service whether it takes work
     Health(remote::HealthArgs),
     /// Print the API description (OpenAPI, JSON)
@@ -90,10 +100,13 @@ pub(crate) fn run() -> ExitCode {
             Command::Serve(args) => serve::serve(args).await,
             Command::Demo(args) => demo::demo(args).await,
             Command::Bake(args) => bake::bake(args).await,
+            Command::Bench(args) => bench::bench(args).await,
             Command::Push(args) => remote::push(args).await,
             Command::Edit(args) => remote::edit(&args).await,
             Command::Watch(args) => remote::watch(args).await,
             Command::Pull(args) => remote::pull(args).await,
+            Command::Render(args) => render::render(*args).await,
+            Command::Compare(args) => compare::compare(&args),
             Command::Health(args) => remote::health(args).await,
             Command::Openapi => ui::out(&serve::openapi_document()?),
         }
@@ -130,6 +143,9 @@ mod tests {
             "rebake serve --listen 127.0.0.1:0 --threads 2",
             "rebake demo --exit",
             "rebake bake room.glb -o room.exr --spacing 0.1 --samples 256 --mode indirect --environment 1,1,1",
+            "rebake bench room.glb e.json -o r.json --budget-seconds 0.5,2 --methods path-trace,rebake --cases -sofa",
+            "rebake bench -o r.json --methods paper --iterations 1,2,4 --path-length 3 --paper-equation 3",
+            "rebake bench room.glb e.json -o r.json --samples 4,16 --mode indirect --seeds 1 --threads 2 --spacing 0.1",
             "rebake push room.glb --server http://h:1 --name room --spacing 0.05 --wait",
             "rebake edit s1 --json -",
             "rebake edit s1 --wait insert chair.glb --at 1,0,2 --rotate-y 90",
@@ -141,6 +157,9 @@ mod tests {
             "rebake edit s1 move-light lamp-2 --position 1,2,0",
             "rebake watch s1 --until 7",
             "rebake pull s1 -o room.rbkd --layer indirect",
+            "rebake render s1 -o now.png --view change --since 7 --scale 0.5 --size 1280x720 --spp 64",
+            "rebake render room.glb -o room.exr --eye 1,2,3 --target 0,1,-1 --fov-y 1 --exposure -1.5 --samples 64",
+            "rebake compare a.exr b.exr -o difference.png --crop 1,2,3,4 --crop 5,6,7,8 --json",
             "rebake health",
             "rebake openapi",
         ] {
@@ -160,6 +179,11 @@ mod tests {
             "rebake bake room.glb -o room.exr --spacing -1",
             "rebake bake room.glb -o room.exr --samples 0",
             "rebake bake room.glb -o room.exr --mode half",
+            "rebake bench room.glb -o r.json",
+            "rebake bench room.glb e.json -o r.svg",
+            "rebake bench room.glb e.json -o r.json --methods magic",
+            "rebake bench room.glb e.json -o r.json --budget-seconds 1,0",
+            "rebake bench room.glb e.json -o r.json --budget-seconds 1 --samples 4",
             "rebake push room.glb --environment 1,2",
             "rebake push room.glb --spacing nan",
             "rebake edit s1",
@@ -172,6 +196,13 @@ mod tests {
             "rebake edit s1 material sofa --albedo 1.5,0,0",
             "rebake edit s1 insert-light l --kind point",
             "rebake pull s1 -o room.obj",
+            "rebake render s1",
+            "rebake compare a.exr",
+            "rebake compare a.exr b.exr --crop 1,2,3",
+            "rebake render s1 -o room.jpg",
+            "rebake render s1 -o room.png --size 0x3",
+            "rebake render s1 -o room.png --eye 1,2,3",
+            "rebake render s1 -o room.png --view sideways",
         ] {
             assert!(parse(line.split(' ')).is_err(), "{line}");
         }

@@ -6,6 +6,7 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use anyhow::Context;
+use rebake::auth::Tokens;
 use tokio::net::TcpListener;
 use tracing_subscriber::EnvFilter;
 
@@ -23,40 +24,74 @@ pub(super) struct ServeArgs {
     /// Address and port; port 0 takes a free one
     #[arg(long, value_name = "ADDRESS", env = "REBAKE_LISTEN", default_value = "127.0.0.1:7878")]
     listen: SocketAddr,
-    /// Where to keep scenes across restarts (not in this build: scenes live in memory)
-    #[arg(long, value_name = "DIR")]
+    /// Where to keep scenes, edits and light maps across restarts [default: nowhere, they live in memory]
+    #[arg(long, value_name = "DIR", env = "REBAKE_DATA_DIR")]
     data_dir: Option<PathBuf>,
     /// Threads that compute [default: one per core]
     #[arg(long, value_name = "N", env = "REBAKE_THREADS")]
     threads: Option<NonZeroUsize>,
-    /// File of access tokens (not in this build: whoever reaches the address may use it)
-    #[arg(long, value_name = "FILE")]
+    /// File of access tokens, one per line: the token and its scopes (read, edit, admin), separated by commas.
+    /// SIGHUP reads it again [default: whoever reaches the address may use it]
+    #[arg(long, value_name = "FILE", env = "REBAKE_TOKEN_FILE")]
     token_file: Option<PathBuf>,
+    /// Listen beyond this machine without tokens
+    #[arg(long, env = "REBAKE_INSECURE")]
+    insecure: bool,
+    /// Let pages of this origin call the API from a browser; may be given several times; `*` for all [default: none]
+    #[arg(long, value_name = "ORIGIN", env = "REBAKE_CORS_ORIGIN", value_delimiter = ',')]
+    cors_origin: Vec<String>,
+    /// Memory that scenes may take together, in GiB [default: three quarters of the machine's]
+    #[arg(long, value_name = "GIB", env = "REBAKE_MEMORY", value_parser = super::values::positive)]
+    memory: Option<f64>,
 }
 
 /// Runs the service until it is told to stop.
 pub(super) async fn serve(args: ServeArgs) -> anyhow::Result<()> {
-    refuse_what_is_not_there(&args)?;
+    let tokens = args.token_file.as_deref().map(Tokens::read).transpose()?;
+    refuse_to_be_open(args.listen, tokens.is_some(), args.insecure)?;
     start_log("info");
     let listener = listen(args.listen).await?;
     let address = listener.local_addr().context("cannot tell the address")?;
-    if !address.ip().is_loopback() {
-        ui::note("warning: this build asks for no token: whoever reaches this address can change scenes");
+    match &args.data_dir {
+        Some(directory) => tracing::info!(directory = %directory.display(), "scenes are kept"),
+        None => ui::note("no --data-dir: scenes live in memory and are gone when the service ends"),
     }
+    tokens.clone().into_iter().for_each(reload_at_hangup);
     ui::out(&format!("listening on http://{address}"))?;
-    rebake::run(listener, config(args.threads), stop_signal()).await.context("the service stopped")?;
+    let mut config =
+        rebake::Config { data_dir: args.data_dir, tokens, cors_origins: args.cors_origin, ..config(args.threads) };
+    if let Some(gib) = args.memory {
+        config.limits.memory_bytes = (gib * f64::from(1u32 << 30)) as u64;
+    }
+    rebake::run(listener, config, stop_signal()).await.context("the service stopped")?;
     Ok(())
 }
 
-/// An option that is accepted has to do what it says.
-fn refuse_what_is_not_there(args: &ServeArgs) -> anyhow::Result<()> {
-    if args.data_dir.is_some() {
-        anyhow::bail!("--data-dir: this build keeps all scenes in memory and cannot store them; leave the option out");
+/// Whoever reaches the address could change scenes: without tokens that has to be this machine alone.
+fn refuse_to_be_open(address: SocketAddr, has_tokens: bool, is_insecure: bool) -> anyhow::Result<()> {
+    if address.ip().is_loopback() || has_tokens || is_insecure {
+        return Ok(());
     }
-    if args.token_file.is_some() {
-        anyhow::bail!("--token-file: this build checks no tokens; leave the option out and keep the address private");
-    }
-    Ok(())
+    anyhow::bail!(
+        "--listen {address} can be reached from other machines, and nobody would be asked for a token: \
+         give --token-file, or --insecure if that is what you want"
+    )
+}
+
+/// Reads the token file again at SIGHUP.
+fn reload_at_hangup(tokens: Tokens) {
+    #[cfg(unix)]
+    tokio::spawn(async move {
+        let Ok(mut hangup) = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::hangup()) else { return };
+        while hangup.recv().await.is_some() {
+            match tokens.reload() {
+                Ok(count) => tracing::info!(count, "tokens read again"),
+                Err(error) => tracing::error!(%error, "the tokens stay as they were"),
+            }
+        }
+    });
+    #[cfg(not(unix))]
+    drop(tokens);
 }
 
 /// Opens the address.
@@ -109,17 +144,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn options_of_later_builds_are_refused_not_ignored() {
-        let args = |data_dir: Option<&str>, token_file: Option<&str>| ServeArgs {
-            listen: SocketAddr::from(([127, 0, 0, 1], 0)),
-            data_dir: data_dir.map(PathBuf::from),
-            threads: None,
-            token_file: token_file.map(PathBuf::from),
-        };
-        assert!(refuse_what_is_not_there(&args(None, None)).is_ok());
-        for args in [args(Some("x"), None), args(None, Some("x"))] {
-            let message = refuse_what_is_not_there(&args).unwrap_err().to_string();
-            assert!(message.contains("this build"), "{message}");
+    fn an_open_door_has_to_be_asked_for() {
+        let (here, everywhere) = (SocketAddr::from(([127, 0, 0, 1], 0)), SocketAddr::from(([0, 0, 0, 0], 0)));
+        for (address, has_tokens, is_insecure, allowed) in [
+            (here, false, false, true),
+            (everywhere, false, false, false),
+            (everywhere, true, false, true),
+            (everywhere, false, true, true),
+        ] {
+            assert_eq!(refuse_to_be_open(address, has_tokens, is_insecure).is_ok(), allowed);
         }
     }
 }

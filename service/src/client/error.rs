@@ -14,6 +14,9 @@ pub enum ClientError {
         /// What is wrong with it.
         why: String,
     },
+    /// The token cannot be sent.
+    #[error("the token holds more than visible ASCII")]
+    Token,
     /// The request did not reach the service, or the answer did not reach us.
     #[error("{}", describe(.0))]
     Http(#[source] reqwest::Error),

@@ -28,6 +28,7 @@ const MAX_PROBLEM_BYTES: usize = 64 << 10;
 pub struct Client {
     http: reqwest::Client,
     base: Url,
+    token: Option<header::HeaderValue>,
 }
 
 /// What an edit request may carry in its headers.
@@ -63,7 +64,16 @@ impl Client {
             .user_agent(concat!("rebake/", env!("CARGO_PKG_VERSION")))
             .build()
             .map_err(ClientError::Http)?;
-        Ok(Client { http, base })
+        Ok(Client { http, base, token: None })
+    }
+
+    /// Sends a bearer token with every request.
+    pub fn with_token(mut self, token: &str) -> Result<Client, ClientError> {
+        let mut value = header::HeaderValue::from_str(&format!("Bearer {token}")).map_err(|_| ClientError::Token)?;
+        // Keeps it out of debug output.
+        value.set_sensitive(true);
+        self.token = Some(value);
+        Ok(self)
     }
 
     /// The service's address.
@@ -192,6 +202,11 @@ impl Client {
         self.send(self.request(Method::GET, &["v1", "scenes", scene, "lightmap"], &query)?).await
     }
 
+    /// A picture; `query` as the API describes it.
+    pub async fn render(&self, scene: &str, query: &[(&str, String)]) -> Result<Response, ClientError> {
+        self.send(self.request(Method::GET, &["v1", "scenes", scene, "render"], query)?).await
+    }
+
     /// Positions, normals, areas and objects: 32 bytes per element.
     pub async fn elements(&self, scene: &str) -> Result<Vec<u8>, ClientError> {
         let response = self.send(self.request(Method::GET, &["v1", "scenes", scene, "elements"], &[])?).await?;
@@ -231,7 +246,11 @@ impl Client {
         if !query.is_empty() {
             url.query_pairs_mut().extend_pairs(query);
         }
-        Ok(self.http.request(method, url))
+        let request = self.http.request(method, url);
+        Ok(match &self.token {
+            Some(token) => request.header(header::AUTHORIZATION, token.clone()),
+            None => request,
+        })
     }
 
     async fn send(&self, request: RequestBuilder) -> Result<Response, ClientError> {

@@ -4,18 +4,32 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use serde::{Deserialize, Serialize};
+
+use super::Stop;
 use super::queue::{JobNumber, JobProgress};
-use crate::engine::{LightMap, Observer, Progress};
+use crate::engine::{LightMap, Observer, Progress, lengthened};
 use crate::state::App;
 use crate::store::lighting::{Lit, Sequence};
 use crate::store::scenes::SceneEntry;
 
 /// When a job stops; the first bound that is reached ends it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct JobBudget {
     pub(crate) samples_per_element: u32,
     pub(crate) max_seconds: Option<f64>,
     pub(crate) target_rmse: Option<f32>,
+}
+
+impl JobBudget {
+    /// A budget that is used up when both are.
+    pub(crate) fn both(self, other: JobBudget) -> JobBudget {
+        JobBudget {
+            samples_per_element: self.samples_per_element.max(other.samples_per_element),
+            max_seconds: self.max_seconds.zip(other.max_seconds).map(|(a, b)| a.max(b)),
+            target_rmse: self.target_rmse.zip(other.target_rmse).map(|(a, b)| a.min(b)),
+        }
+    }
 }
 
 /// Decides how large a round may be so that a job ends on time.
@@ -81,16 +95,24 @@ pub(crate) fn fraction(budget: &JobBudget, progress: &Progress, elapsed_secs: f6
     if fraction.is_finite() { fraction.clamp(0.0, 1.0) } else { 0.0 }
 }
 
+/// Time to the end at the pace so far; none while that says nothing.
+fn remaining_ms(fraction: f64, elapsed: Duration) -> Option<u64> {
+    const MEASURED: f64 = 0.02;
+    (fraction >= MEASURED).then(|| (elapsed.as_secs_f64() * 1e3 * (1.0 - fraction) / fraction) as u64)
+}
+
 /// Observes one job, one transition (or bake) after the other.
 pub(crate) struct JobObserver<'a> {
     pub(crate) app: &'a Arc<App>,
     pub(crate) scene: &'a Arc<SceneEntry>,
     pub(crate) job: JobNumber,
     pub(crate) budget: JobBudget,
-    pub(crate) cancel: &'a AtomicBool,
+    pub(crate) stop: &'a Stop,
     pub(crate) started: Instant,
     /// What the maps of the work under way are right for.
     pub(crate) sequence: Sequence,
+    /// Length of the maps that are published: edits that were merged may need less.
+    pub(crate) slots: usize,
     state: Mutex<State>,
     /// There is a complete map, so time may end the work.
     complete: AtomicBool,
@@ -102,6 +124,11 @@ struct State {
     latest: Option<Arc<LightMap>>,
     version: Option<u64>,
     reported: Option<(Instant, &'static str)>,
+    /// The stated error of what is published for the same edit already, by a run that was interrupted.
+    floor: Option<f32>,
+    /// The last map was not published, because there is a better one.
+    held_back: Option<Progress>,
+    saved: Option<Instant>,
 }
 
 impl<'a> JobObserver<'a> {
@@ -110,38 +137,37 @@ impl<'a> JobObserver<'a> {
         scene: &'a Arc<SceneEntry>,
         job: JobNumber,
         budget: JobBudget,
-        cancel: &'a AtomicBool,
+        stop: &'a Stop,
     ) -> JobObserver<'a> {
         JobObserver {
             app,
             scene,
             job,
             budget,
-            cancel,
+            stop,
             started: Instant::now(),
             sequence: 0,
+            slots: 0,
             state: Mutex::default(),
             complete: AtomicBool::new(false),
         }
     }
 
-    /// From here on maps are right for `sequence`.
-    pub(crate) fn begin(&mut self, sequence: Sequence) {
+    /// From here on maps are right for `sequence`, and those with a larger stated error than `floor` are held back.
+    pub(crate) fn begin(&mut self, sequence: Sequence, floor: Option<f32>) {
         self.sequence = sequence;
         self.complete = AtomicBool::new(false);
         let mut state = self.lock();
         state.latest = None;
+        state.held_back = None;
+        state.floor = floor;
         state.pace = Pace::default();
     }
 
-    /// The last complete map since [`JobObserver::begin`].
-    pub(crate) fn take_latest(&self) -> Option<Arc<LightMap>> {
-        self.lock().latest.take()
-    }
-
-    /// A client asked for the end.
-    pub(crate) fn cancel_requested(&self) -> bool {
-        self.cancel.load(Ordering::Relaxed)
+    /// The last complete map since [`JobObserver::begin`], and its progress where it was held back.
+    pub(crate) fn take_latest(&self) -> (Option<Arc<LightMap>>, Option<Progress>) {
+        let mut state = self.lock();
+        (state.latest.take(), state.held_back.take())
     }
 
     /// Tells of a version that was published without a round.
@@ -162,14 +188,16 @@ impl<'a> JobObserver<'a> {
 
     fn report(&self, progress: &Progress, version: Option<u64>) {
         let elapsed = self.elapsed();
+        let fraction = fraction(&self.budget, progress, elapsed.as_secs_f64());
         let report = JobProgress {
-            fraction: fraction(&self.budget, progress, elapsed.as_secs_f64()),
+            fraction,
             pass: Some(progress.pass.as_str()),
             samples_per_element: progress.samples_per_element,
             elapsed_ms: elapsed.as_millis() as u64,
             estimated_rmse: progress.estimated_rmse,
             rays: progress.rays,
             version,
+            remaining_ms: remaining_ms(fraction, elapsed),
         };
         self.app.report(self.job, report);
     }
@@ -181,7 +209,7 @@ impl<'a> JobObserver<'a> {
 
 impl Observer for JobObserver<'_> {
     fn canceled(&self) -> bool {
-        self.cancel_requested() || self.is_overdue()
+        self.stop.is_requested() || self.is_overdue()
     }
 
     fn progress(&self, progress: &Progress) {
@@ -209,19 +237,50 @@ impl Observer for JobObserver<'_> {
     }
 
     fn snapshot(&self, map: &Arc<LightMap>, progress: &Progress) {
-        let published = self.scene.snapshot(self.sequence, Lit { map, estimated_rmse: progress.estimated_rmse });
+        let map = &lengthened(map, self.slots);
         {
             let mut state = self.lock();
-            state.version = Some(published.version);
-            state.reported = Some((Instant::now(), progress.pass.as_str()));
             // Before the first finished round the map is only carried over.
             if progress.samples_per_element > 0 {
                 state.latest = Some(map.clone());
                 self.complete.store(true, Ordering::Relaxed);
             }
+            let is_worse = |floor: f32| progress.estimated_rmse.is_none_or(|rmse| rmse.is_nan() || rmse > floor);
+            if state.floor.is_some_and(is_worse) {
+                state.held_back = Some(*progress);
+                return;
+            }
+            state.held_back = None;
         }
+        self.publish(map, progress);
+    }
+}
+
+impl JobObserver<'_> {
+    /// Publishes a map of this job.
+    pub(crate) fn publish(&self, map: &Arc<LightMap>, progress: &Progress) {
+        if !self.app.may_publish(self.scene) {
+            return;
+        }
+        let is_right = progress.samples_per_element > 0;
+        let lit = Lit { map, estimated_rmse: progress.estimated_rmse, is_right };
+        let published = self.scene.snapshot(self.sequence, lit);
+        let is_due = {
+            let mut state = self.lock();
+            state.version = Some(published.version);
+            state.reported = Some((Instant::now(), progress.pass.as_str()));
+            let saved = state.saved.get_or_insert(self.started);
+            let is_due = saved.elapsed() >= self.app.config.timeouts.save;
+            if is_due {
+                state.saved = Some(Instant::now());
+            }
+            is_due
+        };
         self.report(progress, Some(published.version));
         self.app.tell_snapshot(self.scene, Some(self.job), &published, Some(progress));
+        if is_due {
+            self.app.save_soon(self.scene);
+        }
     }
 }
 

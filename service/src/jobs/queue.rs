@@ -1,154 +1,25 @@
 //! The state of all jobs: plain data and its transitions, without a clock, threads or locks.
 //!
 //! ```text
+//!    ┌──────────── interrupted ───────────┐
+//!    ▼                                    │
 //! queued ──► running ──► succeeded | failed | canceled
-//!    └──────────────────────────────────────► canceled
+//!  ▲  │ └──────────────────────────────────────► canceled
+//!  │  ▼         │
+//! paused ◄──────┘
 //! ```
+//!
+//! A queued job whose work another one does with its own is *merged* into it: it waits, out of line, and ends as that
+//! one ends. Where that one is canceled or interrupted instead, it is in line again.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
 
 use jiff::Timestamp;
 
-/// Number of a job, in the order of arrival.
-pub type JobNumber = u64;
-/// Number of a scene, in the order of arrival.
-pub type SceneNumber = u64;
-
-/// What a job does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum JobKind {
-    /// Lights a scene from scratch.
-    Bake,
-    /// Brings a light map up to date after an edit.
-    Edit,
-}
-
-/// Where a job stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum JobState {
-    /// Waits for its turn.
-    Queued,
-    /// Runs.
-    Running,
-    /// Done.
-    Succeeded,
-    /// Ended by an error.
-    Failed,
-    /// Ended by a client or by the end of the service.
-    Canceled,
-}
-
-impl JobState {
-    /// Nothing more will happen.
-    pub fn has_ended(self) -> bool {
-        matches!(self, JobState::Succeeded | JobState::Failed | JobState::Canceled)
-    }
-
-    /// A stable word for clients.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            JobState::Queued => "queued",
-            JobState::Running => "running",
-            JobState::Succeeded => "succeeded",
-            JobState::Failed => "failed",
-            JobState::Canceled => "canceled",
-        }
-    }
-}
-
-/// How a job ended.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Outcome {
-    /// Within its budget.
-    Succeeded,
-    /// With an error, for people.
-    Failed(String),
-    /// On request.
-    Canceled,
-}
-
-/// How far a job is.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct JobProgress {
-    /// Part of the work that is done, 0..=1; never falls.
-    pub fraction: f64,
-    /// What is being done.
-    pub pass: Option<&'static str>,
-    /// Of the rounds that are finished.
-    pub samples_per_element: u32,
-    /// Since the job started.
-    pub elapsed_ms: u64,
-    /// The stated error of the last snapshot.
-    pub estimated_rmse: Option<f32>,
-    /// Rays traced.
-    pub rays: u64,
-    /// Newest version that the job published.
-    pub version: Option<u64>,
-}
-
-/// One job.
-#[derive(Clone, Debug)]
-pub struct Job {
-    /// In the order of arrival.
-    pub number: JobNumber,
-    /// Whose light map it works on.
-    pub scene: SceneNumber,
-    /// What it does.
-    pub kind: JobKind,
-    /// Where it stands.
-    pub state: JobState,
-    /// A running job was asked to stop.
-    pub cancel_requested: bool,
-    /// How far it is.
-    pub progress: JobProgress,
-    /// When it was accepted.
-    pub created_at: Timestamp,
-    /// When it began.
-    pub started_at: Option<Timestamp>,
-    /// When it ended.
-    pub finished_at: Option<Timestamp>,
-    /// Why it failed.
-    pub error: Option<String>,
-}
-
-/// How many jobs there may be.
-#[derive(Clone, Copy, Debug)]
-pub struct QueueLimits {
-    /// Queued, of one scene.
-    pub queued_per_scene: usize,
-    /// Queued, in all.
-    pub queued: usize,
-    /// Finished jobs that are remembered.
-    pub finished: usize,
-}
-
-/// A job was not accepted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Full {
-    /// The scene has its share.
-    #[error("{0} jobs of this scene are queued already")]
-    Scene(usize),
-    /// The service has its share.
-    #[error("{0} jobs are queued already")]
-    Service(usize),
-    /// The service is about to end.
-    #[error("the service takes no new jobs")]
-    Closed,
-}
-
-/// What a cancel did.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Cancel {
-    /// There is no such job.
-    Unknown,
-    /// It had ended before.
-    Ended,
-    /// It was queued and is canceled.
-    Done,
-    /// It runs and was asked to stop.
-    Requested,
-}
+pub use super::job::{
+    Change, Full, Job, JobKind, JobNumber, JobProgress, JobState, Outcome, Priority, QueueLimits, SceneNumber,
+};
 
 /// All jobs, finished ones up to a limit.
 #[derive(Debug)]
@@ -156,9 +27,10 @@ pub struct Queue {
     limits: QueueLimits,
     newest: JobNumber,
     jobs: BTreeMap<JobNumber, Job>,
-    queued: usize,
+    /// Queued, paused or promised.
+    waiting: usize,
     finished: usize,
-    queued_of: HashMap<SceneNumber, usize>,
+    waiting_of: HashMap<SceneNumber, usize>,
     running_of: HashMap<SceneNumber, JobNumber>,
     /// Starts so far, and the turn at which each scene had its last one.
     turn: u64,
@@ -173,9 +45,9 @@ impl Queue {
             limits,
             newest: 0,
             jobs: BTreeMap::new(),
-            queued: 0,
+            waiting: 0,
             finished: 0,
-            queued_of: HashMap::new(),
+            waiting_of: HashMap::new(),
             running_of: HashMap::new(),
             turn: 0,
             last_turn: HashMap::new(),
@@ -185,98 +57,183 @@ impl Queue {
 
     /// Whether one more job of the scene has room.
     pub fn has_room(&self, scene: SceneNumber) -> Result<(), Full> {
-        let of_scene = self.queued_of.get(&scene).copied().unwrap_or(0);
+        let of_scene = self.waiting_of.get(&scene).copied().unwrap_or(0);
         if of_scene >= self.limits.queued_per_scene {
             return Err(Full::Scene(of_scene));
         }
-        if self.queued >= self.limits.queued {
-            return Err(Full::Service(self.queued));
+        if self.waiting >= self.limits.queued {
+            return Err(Full::Service(self.waiting));
         }
         Ok(())
     }
 
-    /// Appends a job.
-    pub fn push(&mut self, scene: SceneNumber, kind: JobKind, now: Timestamp) -> Result<JobNumber, Full> {
+    /// Promises a place and gives it a number; to be followed by [`Queue::push`] or [`Queue::give_back`].
+    pub fn promise(&mut self, scene: SceneNumber) -> Result<JobNumber, Full> {
         self.has_room(scene)?;
         self.newest += 1;
-        let number = self.newest;
-        self.queued += 1;
-        *self.queued_of.entry(scene).or_default() += 1;
-        self.jobs.insert(
-            number,
-            Job {
-                number,
-                scene,
-                kind,
-                state: JobState::Queued,
-                cancel_requested: false,
-                progress: JobProgress::default(),
-                created_at: now,
-                started_at: None,
-                finished_at: None,
-                error: None,
-            },
-        );
-        Ok(number)
+        self.joins(scene);
+        Ok(self.newest)
+    }
+
+    /// Gives a promised place back.
+    pub fn give_back(&mut self, scene: SceneNumber) {
+        self.leaves(scene);
+    }
+
+    /// Puts a job in its promised place.
+    pub fn push(&mut self, mut job: Job) {
+        job.arrived_turn = self.turn;
+        self.jobs.insert(job.number, job);
+    }
+
+    /// Takes in a job of an earlier life; one that ran waits again. Limits hold for new jobs only.
+    pub fn restore(&mut self, mut job: Job) {
+        self.begin_after(job.number);
+        job.arrived_turn = self.turn;
+        job.merged_into = job.merged_into.filter(|_| job.state.has_ended());
+        if job.state.has_ended() {
+            self.finished += 1;
+        } else {
+            if job.state == JobState::Running || !job.pause_requested {
+                job.state = if job.pause_requested { JobState::Paused } else { JobState::Queued };
+            }
+            self.joins(job.scene);
+        }
+        self.jobs.insert(job.number, job);
+        self.forget_old();
+    }
+
+    /// Numbers up to this one were given before.
+    pub fn begin_after(&mut self, newest: JobNumber) {
+        self.newest = self.newest.max(newest);
     }
 
     /// Queued → running. False where that is not the job's next step or its scene is busy.
     pub fn start(&mut self, number: JobNumber, now: Timestamp) -> bool {
         let Some(job) = self.jobs.get_mut(&number) else { return false };
-        if job.state != JobState::Queued || self.running_of.contains_key(&job.scene) {
+        if !job.is_in_line() || self.running_of.contains_key(&job.scene) {
             return false;
         }
         job.state = JobState::Running;
         job.started_at = Some(now);
+        job.progress = JobProgress { version: job.progress.version, ..JobProgress::default() };
         let scene = job.scene;
         self.turn += 1;
         self.last_turn.insert(scene, self.turn);
         self.running_of.insert(scene, number);
-        self.left_queue(scene);
+        self.leaves(scene);
         true
     }
 
-    /// Running → ended. False where the job does not run.
-    pub fn finish(&mut self, number: JobNumber, outcome: Outcome, now: Timestamp) -> bool {
-        let Some(job) = self.jobs.get_mut(&number).filter(|job| job.state == JobState::Running) else { return false };
-        job.finished_at = Some(now);
-        if let Some(started_at) = job.started_at {
-            job.progress.elapsed_ms = now.duration_since(started_at).as_millis().try_into().unwrap_or(0);
-        }
-        (job.state, job.error) = match outcome {
-            Outcome::Succeeded => (JobState::Succeeded, None),
-            Outcome::Failed(error) => (JobState::Failed, Some(error)),
-            Outcome::Canceled => (JobState::Canceled, None),
+    /// Lets `into`, which runs, do the work of `number`, which waits on the same scene. False where it cannot.
+    pub fn merge(&mut self, number: JobNumber, into: JobNumber) -> bool {
+        let Some(scene) = self.jobs.get(&into).filter(|job| job.state == JobState::Running).map(|job| job.scene) else {
+            return false;
         };
-        if job.state == JobState::Succeeded {
-            job.progress.fraction = 1.0;
-        }
-        let scene = job.scene;
-        self.running_of.remove(&scene);
-        self.finished += 1;
-        self.forget_old();
+        let Some(job) = self.jobs.get_mut(&number).filter(|job| job.is_in_line() && job.scene == scene) else {
+            return false;
+        };
+        job.merged_into = Some(into);
         true
     }
 
-    /// Cancels a queued job at once, asks a running one to stop.
-    pub fn cancel(&mut self, number: JobNumber, now: Timestamp) -> Cancel {
-        let Some(job) = self.jobs.get_mut(&number) else { return Cancel::Unknown };
+    /// Jobs that `into` does with its own.
+    pub fn merged_into(&self, into: JobNumber) -> Vec<JobNumber> {
+        self.iter()
+            .filter(|job| job.merged_into == Some(into) && !job.state.has_ended())
+            .map(|job| job.number)
+            .collect()
+    }
+
+    /// Running → ended, queued again or paused; the jobs merged into it likewise. What changed, or nothing where the
+    /// job does not run.
+    pub fn finish(&mut self, number: JobNumber, outcome: &Outcome, now: Timestamp) -> Vec<JobNumber> {
+        let Some(job) = self.jobs.get_mut(&number).filter(|job| job.state == JobState::Running) else {
+            return Vec::new();
+        };
+        let (scene, progress) = (job.scene, job.progress);
+        self.running_of.remove(&scene);
+        if *outcome == Outcome::Interrupted {
+            job.state = if job.pause_requested { JobState::Paused } else { JobState::Queued };
+            self.joins(scene);
+        } else {
+            self.end(number, outcome, now);
+        }
+        let merged = self.merged_into(number);
+        for other in &merged {
+            if matches!(outcome, Outcome::Canceled | Outcome::Interrupted) {
+                self.jobs.get_mut(other).into_iter().for_each(|job| job.merged_into = None);
+                continue;
+            }
+            self.jobs.get_mut(other).into_iter().for_each(|job| job.progress = progress);
+            self.leaves(scene);
+            self.end(*other, outcome, now);
+        }
+        self.forget_old();
+        std::iter::once(number).chain(merged).collect()
+    }
+
+    /// What [`Queue::finish`] will make of a job and of those merged into it, to be kept before anybody is told.
+    pub fn preview_finish(&self, number: JobNumber, outcome: &Outcome, now: Timestamp) -> Vec<Job> {
+        let Some(job) = self.get(number).filter(|job| job.state == JobState::Running) else { return Vec::new() };
+        let progress = job.progress;
+        let merged = self.merged_into(number).into_iter().filter_map(|other| self.get(other).cloned());
+        let merged = merged.map(|other| Job { progress, ..other });
+        let ended = std::iter::once(job.clone()).chain(merged.filter(|_| *outcome != Outcome::Canceled));
+        ended
+            .map(|mut job| {
+                job.end(outcome, now);
+                job
+            })
+            .collect()
+    }
+
+    /// Cancels a waiting job at once, asks a running one to stop.
+    pub fn cancel(&mut self, number: JobNumber, now: Timestamp) -> Change {
+        let Some(job) = self.jobs.get_mut(&number) else { return Change::Unknown };
         match job.state {
-            JobState::Queued => {
-                job.state = JobState::Canceled;
-                job.finished_at = Some(now);
+            JobState::Queued | JobState::Paused => {
                 let scene = job.scene;
-                self.left_queue(scene);
-                self.finished += 1;
+                job.merged_into = None;
+                self.leaves(scene);
+                self.end(number, &Outcome::Canceled, now);
                 self.forget_old();
-                Cancel::Done
+                Change::Done
             }
             JobState::Running => {
                 job.cancel_requested = true;
-                Cancel::Requested
+                Change::Requested
             }
-            JobState::Succeeded | JobState::Failed | JobState::Canceled => Cancel::Ended,
+            JobState::Succeeded | JobState::Failed | JobState::Canceled => Change::Ended,
         }
+    }
+
+    /// Takes a waiting job out of line at once, asks a running one to make room.
+    pub fn pause(&mut self, number: JobNumber) -> Change {
+        let Some(job) = self.jobs.get_mut(&number) else { return Change::Unknown };
+        if job.state.has_ended() {
+            return Change::Ended;
+        }
+        job.pause_requested = true;
+        if job.state == JobState::Running {
+            return Change::Requested;
+        }
+        (job.state, job.merged_into) = (JobState::Paused, None);
+        Change::Done
+    }
+
+    /// Puts a paused job in line again. One that runs and was asked to make room goes on as soon as it has.
+    pub fn resume(&mut self, number: JobNumber) -> Change {
+        let Some(job) = self.jobs.get_mut(&number) else { return Change::Unknown };
+        if job.state.has_ended() {
+            return Change::Ended;
+        }
+        job.pause_requested = false;
+        if job.state == JobState::Paused {
+            job.state = JobState::Queued;
+            job.arrived_turn = self.turn;
+        }
+        Change::Done
     }
 
     /// Takes over new progress of a running job. The fraction never falls, and is 1 only at the end.
@@ -308,6 +265,11 @@ impl Queue {
         self.running_of.len()
     }
 
+    /// Jobs that are queued or paused.
+    pub fn waiting(&self) -> usize {
+        self.waiting
+    }
+
     /// The job that runs on a scene.
     pub fn running_on(&self, scene: SceneNumber) -> Option<JobNumber> {
         self.running_of.get(&scene).copied()
@@ -316,14 +278,14 @@ impl Queue {
     /// The job that runs on a scene, else the first of its queue.
     pub fn current(&self, scene: SceneNumber) -> Option<JobNumber> {
         self.running_on(scene).or_else(|| {
-            self.queued_of.get(&scene)?;
+            self.waiting_of.get(&scene)?;
             self.iter().find(|job| job.scene == scene && job.state == JobState::Queued).map(|job| job.number)
         })
     }
 
-    /// Whether any job of the scene waits.
-    pub fn has_queued(&self, scene: SceneNumber) -> bool {
-        self.queued_of.contains_key(&scene)
+    /// Starts so far.
+    pub fn turn(&self) -> u64 {
+        self.turn
     }
 
     /// The turn at which a scene last started a job; 0 for never.
@@ -346,12 +308,23 @@ impl Queue {
         std::mem::take(&mut self.forgotten)
     }
 
-    fn left_queue(&mut self, scene: SceneNumber) {
-        self.queued -= 1;
-        if let Some(count) = self.queued_of.get_mut(&scene) {
+    fn end(&mut self, number: JobNumber, outcome: &Outcome, now: Timestamp) {
+        let Some(job) = self.jobs.get_mut(&number) else { return };
+        job.end(outcome, now);
+        self.finished += 1;
+    }
+
+    fn joins(&mut self, scene: SceneNumber) {
+        self.waiting += 1;
+        *self.waiting_of.entry(scene).or_default() += 1;
+    }
+
+    fn leaves(&mut self, scene: SceneNumber) {
+        self.waiting -= 1;
+        if let Some(count) = self.waiting_of.get_mut(&scene) {
             *count -= 1;
             if *count == 0 {
-                self.queued_of.remove(&scene);
+                self.waiting_of.remove(&scene);
             }
         }
     }
@@ -370,13 +343,15 @@ impl Queue {
 impl fmt::Display for Queue {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for job in self.iter() {
-            let kind = match job.kind {
-                JobKind::Bake => "bake",
-                JobKind::Edit => "edit",
-            };
-            write!(f, "{} scene {} {kind} {}", job.number, job.scene, job.state.as_str())?;
+            write!(f, "{} scene {} {} {}", job.number, job.scene, job.kind.as_str(), job.state.as_str())?;
+            if let Some(into) = job.merged_into {
+                write!(f, " (in {into})")?;
+            }
             if job.cancel_requested && !job.state.has_ended() {
                 write!(f, " (to be canceled)")?;
+            }
+            if job.pause_requested && job.state == JobState::Running {
+                write!(f, " (to be paused)")?;
             }
             if job.progress.fraction > 0.0 {
                 write!(f, " {:.0} %", job.progress.fraction * 100.0)?;

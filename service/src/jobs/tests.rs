@@ -2,7 +2,9 @@
 
 use jiff::Timestamp;
 
-use super::queue::{Cancel, Full, JobKind, JobNumber, JobProgress, JobState, Outcome, Queue, QueueLimits};
+use super::queue::{
+    Change, Full, Job, JobKind, JobNumber, JobProgress, JobState, Outcome, Priority, Queue, QueueLimits, SceneNumber,
+};
 use super::scheduler::{Decision, tick};
 
 const NOW: Timestamp = Timestamp::UNIX_EPOCH;
@@ -11,8 +13,19 @@ fn queue(queued_per_scene: usize, queued: usize, finished: usize) -> Queue {
     Queue::new(QueueLimits { queued_per_scene, queued, finished })
 }
 
-fn edit(queue: &mut Queue, scene: u64) -> JobNumber {
-    queue.push(scene, JobKind::Edit, NOW).unwrap()
+fn push(queue: &mut Queue, scene: SceneNumber, kind: JobKind, priority: Priority) -> Result<JobNumber, Full> {
+    let number = queue.promise(scene)?;
+    queue.push(Job::new(number, scene, kind, priority, NOW));
+    Ok(number)
+}
+
+fn edit(queue: &mut Queue, scene: SceneNumber) -> JobNumber {
+    push(queue, scene, JobKind::Edit, Priority::Normal).unwrap()
+}
+
+/// Ends a job; whether that was its next step.
+fn finish(queue: &mut Queue, job: JobNumber, outcome: Outcome) -> bool {
+    !queue.finish(job, &outcome, NOW).is_empty()
 }
 
 /// Starts what the scheduler says until it waits; answers what it started.
@@ -28,14 +41,14 @@ fn start_all(queue: &mut Queue, slots: usize) -> Vec<JobNumber> {
 #[test]
 fn a_life_of_a_queue() {
     let mut queue = queue(10, 10, 10);
-    queue.push(1, JobKind::Bake, NOW).unwrap();
+    push(&mut queue, 1, JobKind::Bake, Priority::Normal).unwrap();
     edit(&mut queue, 1);
-    queue.push(2, JobKind::Bake, NOW).unwrap();
+    push(&mut queue, 2, JobKind::Bake, Priority::Normal).unwrap();
     edit(&mut queue, 1);
     assert_eq!(start_all(&mut queue, 2), [1, 3]);
     queue.report(1, JobProgress { fraction: 0.25, ..JobProgress::default() });
-    assert_eq!(queue.cancel(4, NOW), Cancel::Done);
-    assert_eq!(queue.cancel(1, NOW), Cancel::Requested);
+    assert_eq!(queue.cancel(4, NOW), Change::Done);
+    assert_eq!(queue.cancel(1, NOW), Change::Requested);
     assert_eq!(
         queue.to_string(),
         "1 scene 1 bake running (to be canceled) 25 %\n\
@@ -43,10 +56,10 @@ fn a_life_of_a_queue() {
          3 scene 2 bake running\n\
          4 scene 1 edit canceled\n"
     );
-    assert!(queue.finish(1, Outcome::Canceled, NOW));
-    assert!(queue.finish(3, Outcome::Failed("the engine broke".to_owned()), NOW));
+    assert!(finish(&mut queue, 1, Outcome::Canceled));
+    assert!(finish(&mut queue, 3, Outcome::Failed("the engine broke".to_owned())));
     assert_eq!(start_all(&mut queue, 2), [2]);
-    assert!(queue.finish(2, Outcome::Succeeded, NOW));
+    assert!(finish(&mut queue, 2, Outcome::Succeeded));
     assert_eq!(
         queue.to_string(),
         "1 scene 1 bake canceled 25 %\n\
@@ -66,7 +79,7 @@ fn a_long_queue_of_one_scene_does_not_starve_another() {
     while let Decision::Start(job) = tick(&queue, 1) {
         queue.start(job, NOW);
         order.push(queue.get(job).map(|job| job.scene).unwrap());
-        queue.finish(job, Outcome::Succeeded, NOW);
+        finish(&mut queue, job, Outcome::Succeeded);
     }
     assert_eq!(order, [1, 2, 3, 1, 1]);
 }
@@ -75,14 +88,14 @@ fn a_long_queue_of_one_scene_does_not_starve_another() {
 fn impossible_steps_are_refused() {
     let mut queue = queue(10, 10, 10);
     let (first, second) = (edit(&mut queue, 1), edit(&mut queue, 1));
-    assert!(!queue.finish(first, Outcome::Succeeded, NOW), "it does not run");
+    assert!(!finish(&mut queue, first, Outcome::Succeeded), "it does not run");
     assert!(queue.start(first, NOW));
     assert!(!queue.start(first, NOW), "it runs already");
     assert!(!queue.start(second, NOW), "its scene is busy");
-    assert!(queue.finish(first, Outcome::Succeeded, NOW));
-    assert!(!queue.finish(first, Outcome::Failed("late".to_owned()), NOW), "it has ended");
-    assert_eq!(queue.cancel(first, NOW), Cancel::Ended);
-    assert_eq!(queue.cancel(99, NOW), Cancel::Unknown);
+    assert!(finish(&mut queue, first, Outcome::Succeeded));
+    assert!(!finish(&mut queue, first, Outcome::Failed("late".to_owned())), "it has ended");
+    assert_eq!(queue.cancel(first, NOW), Change::Ended);
+    assert_eq!(queue.cancel(99, NOW), Change::Unknown);
     queue.report(first, JobProgress::default());
     assert_eq!(queue.get(first).map(|job| job.progress.fraction), Some(1.0), "what has ended does not move");
 }
@@ -99,10 +112,10 @@ fn progress_never_falls() {
 }
 
 /// A small generator: the test needs variety, not quality.
-struct Dice(u64);
+pub(super) struct Dice(pub(super) u64);
 
 impl Dice {
-    fn roll(&mut self, sides: u64) -> u64 {
+    pub(super) fn roll(&mut self, sides: u64) -> u64 {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 33) % sides
     }
@@ -117,7 +130,7 @@ fn whatever_happens_the_rules_hold() {
         for _ in 0..200 {
             let any = 1 + dice.roll(accepted + 2);
             match dice.roll(6) {
-                0 | 1 => match queue.push(dice.roll(4), JobKind::Edit, NOW) {
+                0 | 1 => match push(&mut queue, dice.roll(4), JobKind::Edit, Priority::Normal) {
                     Ok(number) => {
                         accepted += 1;
                         assert_eq!(number, accepted);
@@ -133,10 +146,10 @@ fn whatever_happens_the_rules_hold() {
                     queue.cancel(any, NOW);
                 }
                 4 => {
-                    queue.finish(any, Outcome::Failed("injected".to_owned()), NOW);
+                    finish(&mut queue, any, Outcome::Failed("injected".to_owned()));
                 }
                 _ => {
-                    queue.finish(any, Outcome::Succeeded, NOW);
+                    finish(&mut queue, any, Outcome::Succeeded);
                 }
             }
             forgotten += queue.take_forgotten().len() as u64;
@@ -146,10 +159,10 @@ fn whatever_happens_the_rules_hold() {
         // In the end everything ends.
         for _ in 0..100 {
             for job in start_all(&mut queue, 2) {
-                queue.finish(job, Outcome::Succeeded, NOW);
+                finish(&mut queue, job, Outcome::Succeeded);
             }
             for scene in 0..4 {
-                queue.running_on(scene).map(|job| queue.finish(job, Outcome::Canceled, NOW));
+                queue.running_on(scene).map(|job| finish(&mut queue, job, Outcome::Canceled));
             }
         }
         assert!(queue.iter().all(|job| job.state.has_ended()), "{queue}");
@@ -164,11 +177,87 @@ fn check(queue: &Queue) {
     for scene in 0..4 {
         let of_scene = |state| queue.iter().filter(|job| job.scene == scene && job.state == state).count();
         assert!(of_scene(JobState::Running) <= 1 && of_scene(JobState::Queued) <= 3, "{queue}");
-        assert_eq!(queue.has_queued(scene), of_scene(JobState::Queued) > 0, "{queue}");
         assert_eq!(queue.open_of(scene).len(), of_scene(JobState::Running) + of_scene(JobState::Queued), "{queue}");
     }
     for job in queue.iter() {
         assert_eq!(job.finished_at.is_some(), job.state.has_ended(), "{queue}");
         assert!((0.0..=1.0).contains(&job.progress.fraction));
     }
+}
+
+#[test]
+fn merged_jobs_end_as_the_one_that_does_their_work() {
+    let mut queue = queue(10, 10, 10);
+    let (first, second) = (edit(&mut queue, 1), edit(&mut queue, 1));
+    let other = edit(&mut queue, 2);
+    assert!(!queue.merge(first, second), "it does not run");
+    assert!(queue.start(second, NOW));
+    assert!(queue.merge(first, second) && !queue.merge(first, second) && !queue.merge(other, second));
+    assert_eq!(start_all(&mut queue, 9), [other]);
+    assert_eq!(queue.to_string(), "1 scene 1 edit queued (in 2)\n2 scene 1 edit running\n3 scene 2 edit running\n");
+    // Interrupted: both wait again, in their old order.
+    assert_eq!(queue.pause(second), Change::Requested);
+    assert_eq!(queue.finish(second, &Outcome::Interrupted, NOW), [second, first]);
+    assert_eq!(queue.to_string(), "1 scene 1 edit queued\n2 scene 1 edit paused\n3 scene 2 edit running\n");
+    assert_eq!(queue.resume(second), Change::Done);
+    assert_eq!(start_all(&mut queue, 9), [first]);
+    assert!(queue.merge(second, first));
+    let preview: Vec<_> =
+        queue.preview_finish(first, &Outcome::Succeeded, NOW).iter().map(|job| (job.number, job.state)).collect();
+    assert_eq!(preview, [(first, JobState::Succeeded), (second, JobState::Succeeded)]);
+    assert!(finish(&mut queue, first, Outcome::Succeeded));
+    assert_eq!(
+        queue.to_string(),
+        "1 scene 1 edit succeeded 100 %\n2 scene 1 edit succeeded (in 1) 100 %\n3 scene 2 edit running\n"
+    );
+}
+
+#[test]
+fn paused_jobs_are_out_of_line_and_count_as_waiting() {
+    let mut queue = queue(2, 10, 10);
+    let first = edit(&mut queue, 1);
+    assert_eq!(queue.pause(first), Change::Done);
+    let second = edit(&mut queue, 1);
+    assert_eq!(queue.promise(1), Err(Full::Scene(2)));
+    assert_eq!(start_all(&mut queue, 9), [second]);
+    assert_eq!(queue.cancel(first, NOW), Change::Done);
+    assert_eq!((queue.pause(first), queue.resume(first)), (Change::Ended, Change::Ended));
+    assert_eq!(queue.waiting(), 0);
+}
+
+#[test]
+fn high_priorities_go_first_but_nothing_waits_for_ever() {
+    let mut queue = queue(100, 100, 100);
+    let low = push(&mut queue, 1, JobKind::Edit, Priority::Low).unwrap();
+    let mut starts = 0;
+    loop {
+        // There is always something more urgent, of a scene of its own.
+        push(&mut queue, 100 + starts, JobKind::Edit, Priority::High).unwrap();
+        let Decision::Start(job) = tick(&queue, 1) else { panic!("something waits") };
+        queue.start(job, NOW);
+        finish(&mut queue, job, Outcome::Succeeded);
+        if job == low {
+            break;
+        }
+        starts += 1;
+        assert!(starts < 50, "it waits for ever");
+    }
+    assert!(starts >= 8, "after {starts}");
+}
+
+#[test]
+fn jobs_of_an_earlier_life_wait_again() {
+    let mut queue = queue(10, 10, 10);
+    for (number, state) in (1..).zip(JobState::ALL) {
+        let mut job = Job::new(number, 1, JobKind::Edit, Priority::Normal, NOW);
+        (job.state, job.pause_requested) = (state, state == JobState::Paused);
+        queue.restore(job);
+    }
+    assert_eq!(
+        queue.to_string(),
+        "1 scene 1 edit queued\n2 scene 1 edit queued\n3 scene 1 edit paused\n4 scene 1 edit succeeded\n\
+         5 scene 1 edit failed\n6 scene 1 edit canceled\n"
+    );
+    assert_eq!(queue.promise(1), Ok(7));
+    assert_eq!(queue.waiting(), 4);
 }

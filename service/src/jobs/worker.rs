@@ -1,24 +1,23 @@
 //! Runs one job on the pool of its slot.
 
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 use rayon::ThreadPool;
 
-use super::JobSpec;
 use super::observer::JobObserver;
 use super::queue::{JobNumber, Outcome};
+use super::{JobSpec, Stop, merge};
 use crate::compute::catching;
-use crate::engine::{Budget, Canceled, LightMap, Update};
+use crate::engine::{Budget, Canceled, LightMap, Transition, Update, carry_over, have_same_slots, lengthened};
 use crate::state::App;
-use crate::store::lighting::{Sequence, Work};
+use crate::store::lighting::{Sequence, Unlit, Work};
 use crate::store::scenes::SceneEntry;
 
 /// A job that starts.
 pub(crate) struct Run {
     pub(crate) job: JobNumber,
     pub(crate) scene: Arc<SceneEntry>,
-    pub(crate) cancel: Arc<AtomicBool>,
+    pub(crate) stop: Arc<Stop>,
     pub(crate) spec: JobSpec,
 }
 
@@ -39,7 +38,7 @@ pub(crate) fn spawn(app: Arc<App>, run: Run, pool: &Arc<ThreadPool>) {
         tracing::info!(?outcome, ms, version = run.scene.published().version, "ended");
         let (job, scene, sequence) = (run.job, run.scene.clone(), run.spec.sequence);
         drop(run);
-        app.finish_job(job, outcome, its_pool);
+        app.finish_job(job, &scene, &outcome, its_pool);
         after(&app, &scene, sequence);
     });
 }
@@ -73,58 +72,121 @@ fn after(app: &Arc<App>, scene: &Arc<SceneEntry>, sequence: Sequence) {
 
 /// Brings the light map up to date with the job's edit.
 fn light(app: &Arc<App>, run: &Run) -> Outcome {
-    let Run { job, scene, cancel, spec } = run;
-    let mut observer = JobObserver::new(app, scene, *job, spec.budget, cancel);
-    if let Some(published) = scene.show(spec.sequence) {
+    let Run { job, scene, stop, spec } = run;
+    let mut observer = JobObserver::new(app, scene, *job, spec.budget, stop);
+    if app.may_publish(scene)
+        && let Some(published) = scene.show(spec.sequence)
+    {
         observer.shown(published.version);
         app.tell_edited(scene, Some(*job), &published);
     }
     let budget = Budget { samples_per_element: spec.budget.samples_per_element, target_rmse: spec.budget.target_rmse };
     let engine = &app.config.engine;
-    let (work, shown) = scene.work(app.config.limits.unlit_edits);
+    let (work, shown, floor) = scene.work(app.config.limits.unlit_edits);
     match work {
         Work::Bake(world) => {
-            observer.begin(shown);
+            observer.begin(shown, floor);
+            observer.slots = world.slots();
             let result = engine.bake(&world, &budget, spec.seed, &observer);
-            match end_of(&observer, result) {
-                Some((map, outcome)) => {
-                    scene.set_lit(shown, map);
-                    outcome
-                }
-                None => Outcome::Canceled,
-            }
+            settle_end(&observer, scene, shown, result).map_or_else(|outcome| outcome, |_| Outcome::Succeeded)
         }
-        Work::Update(mut map, transitions) => {
-            let last = transitions.len().saturating_sub(1);
-            for (i, (sequence, transition)) in transitions.into_iter().enumerate() {
-                observer.begin(sequence);
+        Work::Update(mut map, due) => {
+            let steps = steps(due);
+            let last = steps.len().saturating_sub(1);
+            for (i, step) in steps.into_iter().enumerate() {
+                observer.begin(step.sequence, floor.filter(|_| i == last));
+                observer.slots = step.slots;
+                let Some(transition) = &step.transition else {
+                    map = step.carries.iter().fold(map, |map, transition| carry_over(transition, &map));
+                    scene.set_lit(step.sequence, map.clone());
+                    continue;
+                };
                 let work = Update {
-                    transition: &transition,
+                    transition,
                     map: &map,
                     budget: &budget,
                     focus: spec.focus.as_ref().filter(|_| i == last),
                     seed: spec.seed.wrapping_add(i as u64),
                 };
-                let result = engine.update(&work, &observer);
-                let Some((lit, outcome)) = end_of(&observer, result) else { return Outcome::Canceled };
-                scene.set_lit(sequence, lit.clone());
-                if outcome != Outcome::Succeeded {
-                    return outcome;
+                let result = engine.update(&work, &observer).map(|map| lengthened(&map, step.slots));
+                match settle_end(&observer, scene, step.sequence, result) {
+                    Ok(lit) => map = lit,
+                    Err(outcome) => return outcome,
                 }
-                map = lit;
             }
             Outcome::Succeeded
         }
     }
 }
 
-/// The map a piece of work ends with, if it ends with one that is right, and how it ended. A job out of time ends
-/// well with its last complete map.
-fn end_of(observer: &JobObserver<'_>, result: Result<Arc<LightMap>, Canceled>) -> Option<(Arc<LightMap>, Outcome)> {
-    let latest = observer.take_latest();
-    match result {
-        Ok(map) => Some((map, Outcome::Succeeded)),
-        Err(Canceled) if observer.cancel_requested() => latest.map(|map| (map, Outcome::Canceled)),
-        Err(Canceled) => latest.map(|map| (map, Outcome::Succeeded)),
+/// One piece of work on the way to an up-to-date map.
+struct Step {
+    /// What the map is right for then.
+    sequence: Sequence,
+    /// Length of the map then.
+    slots: usize,
+    /// None where all edits together change nothing.
+    transition: Option<Arc<Transition>>,
+    /// From where the map is to there, without light.
+    carries: Vec<Arc<Transition>>,
+}
+
+/// What is due, in as few steps as give the same result.
+fn steps(due: Vec<Unlit>) -> Vec<Step> {
+    if let Some(step) = merged(&due) {
+        return vec![step];
     }
+    let each = |unlit: Unlit| Step {
+        sequence: unlit.sequence,
+        slots: unlit.transition.after.slots(),
+        transition: Some(unlit.transition),
+        carries: Vec::new(),
+    };
+    due.into_iter().map(each).collect()
+}
+
+/// All that is due as one step, where fewer edits do the same.
+fn merged(due: &[Unlit]) -> Option<Step> {
+    let [first, .., last] = due else { return None };
+    let edits: Vec<_> = due.iter().flat_map(|unlit| unlit.edits.iter().cloned()).collect();
+    let count = merge::count(&edits);
+    let fewer = merge::simplify(edits);
+    if fewer.len() >= count {
+        return None;
+    }
+    let after = &last.transition.after;
+    let transition = match fewer.is_empty() {
+        true => None,
+        false => {
+            let transition = first.transition.before.apply(&fewer).ok()?;
+            // Clients know the slots that the edits had one by one.
+            have_same_slots(&transition.after, after).then_some(())?;
+            Some(Arc::new(transition))
+        }
+    };
+    tracing::info!(edits = count, lit = fewer.len(), "merged");
+    let carries = due.iter().map(|unlit| unlit.transition.clone()).collect();
+    Some(Step { sequence: last.sequence, slots: after.slots(), transition, carries })
+}
+
+/// Takes over the map that a piece of work ends with, if it ends with one that is right. A job out of time ends well
+/// with its last complete map; one that was stopped says how as the error.
+fn settle_end(
+    observer: &JobObserver<'_>,
+    scene: &SceneEntry,
+    sequence: Sequence,
+    result: Result<Arc<LightMap>, Canceled>,
+) -> Result<Arc<LightMap>, Outcome> {
+    let (latest, held_back) = observer.take_latest();
+    let stop = observer.stop;
+    if result.is_err() && stop.is_requested() && !stop.is_cancel() {
+        return Err(Outcome::Interrupted);
+    }
+    let was_canceled = result.is_err() && stop.is_cancel();
+    let Some(map) = result.ok().or(latest) else { return Err(Outcome::Canceled) };
+    if let Some(progress) = held_back.filter(|_| !was_canceled) {
+        observer.publish(&map, &progress);
+    }
+    scene.set_lit(sequence, map.clone());
+    if was_canceled { Err(Outcome::Canceled) } else { Ok(map) }
 }

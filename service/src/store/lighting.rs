@@ -8,17 +8,29 @@
 //! - Cancelling a job cancels work on light, never geometry: an acknowledged edit stays. After its first complete
 //!   round a canceled job has lit its edit, at lower accuracy. Before that the transition stays here, and the next
 //!   job of the scene lights it first.
+//! - A job that is interrupted (paused, or by the end of the service) leaves `lit` alone: it starts from there again,
+//!   and what it had published stays published until it has something better.
 //! - Where no light map is right for any world (never baked, or a job failed) the next job bakes.
 
 use std::collections::BTreeMap;
 use std::ops::Bound::{Excluded, Included};
 use std::sync::Arc;
 
+use super::records::LightRecord;
 use super::versions::Published;
-use crate::engine::{LightMap, Transition, World, carry_over};
+use crate::engine::{Edit, LightMap, Transition, World, carry_over};
 
 /// Sequence number of an accepted edit request; 0 is the scene as uploaded.
 pub(crate) type Sequence = u64;
+
+/// An accepted edit request that is not lit yet.
+#[derive(Clone)]
+pub(crate) struct Unlit {
+    pub(crate) sequence: Sequence,
+    pub(crate) transition: Arc<Transition>,
+    /// What the request asked for.
+    pub(crate) edits: Arc<[Edit]>,
+}
 
 /// The mutable side of a scene's light; behind one lock, changed by the scene's job and by accepted edits.
 pub(crate) struct Lighting {
@@ -27,7 +39,9 @@ pub(crate) struct Lighting {
     lit_sequence: Sequence,
     /// The published world.
     shown_sequence: Sequence,
-    transitions: BTreeMap<Sequence, Arc<Transition>>,
+    /// What the published light is right for, where a job computed it.
+    right_for: Option<Sequence>,
+    unlit: BTreeMap<Sequence, Unlit>,
 }
 
 /// A map as the engine gave it.
@@ -35,43 +49,83 @@ pub(crate) struct Lighting {
 pub(crate) struct Lit<'a> {
     pub(crate) map: &'a Arc<LightMap>,
     pub(crate) estimated_rmse: Option<f32>,
+    /// It is an estimate for its sequence number, and not only carried over.
+    pub(crate) is_right: bool,
 }
 
 /// What a job has to do.
 pub(crate) enum Work {
     /// Bake this world.
     Bake(Box<World>),
-    /// Run these transitions, one after the other, from this map.
-    Update(Arc<LightMap>, Vec<(Sequence, Arc<Transition>)>),
+    /// Light these edits, one after the other, from this map.
+    Update(Arc<LightMap>, Vec<Unlit>),
 }
 
 impl Lighting {
     pub(crate) fn new() -> Lighting {
-        Lighting { lit: None, lit_sequence: 0, shown_sequence: 0, transitions: BTreeMap::new() }
+        Lighting { lit: None, lit_sequence: 0, shown_sequence: 0, right_for: None, unlit: BTreeMap::new() }
+    }
+
+    /// No light, and the world after `sequence` is the published one: the next job bakes.
+    pub(crate) fn baked_next(sequence: Sequence) -> Lighting {
+        Lighting { lit_sequence: sequence, shown_sequence: sequence, ..Lighting::new() }
+    }
+
+    /// As it was saved. `unlit`: the edits behind `lit`.
+    pub(crate) fn restored(light: &LightRecord, unlit: impl IntoIterator<Item = Unlit>) -> Lighting {
+        let shown = light.about.shown;
+        let (lit_sequence, lit) = match &light.lit {
+            Some((sequence, map)) => (*sequence, Some(map.clone())),
+            None => (shown, None),
+        };
+        let mut lighting = Lighting {
+            lit,
+            lit_sequence,
+            shown_sequence: shown,
+            right_for: light.about.right_for,
+            unlit: unlit.into_iter().map(|unlit| (unlit.sequence, unlit)).collect(),
+        };
+        lighting.drop_lit(lit_sequence);
+        lighting
+    }
+
+    /// What is to be saved beside the published version: what its light is right for, and what the next job starts
+    /// from.
+    pub(crate) fn saved(&self) -> (Option<Sequence>, Option<(Sequence, Arc<LightMap>)>) {
+        (self.right_for, self.lit.clone().map(|map| (self.lit_sequence, map)))
     }
 
     /// Takes in an accepted edit.
-    pub(crate) fn accept(&mut self, sequence: Sequence, transition: Transition) {
-        self.transitions.insert(sequence, Arc::new(transition));
+    pub(crate) fn accept(&mut self, unlit: Unlit) {
+        self.unlit.insert(unlit.sequence, unlit);
     }
 
-    /// Transitions that are not lit yet.
+    /// Edits that are not lit yet.
     pub(crate) fn unlit(&self) -> usize {
-        self.transitions.range((Excluded(self.lit_sequence), Included(Sequence::MAX))).count()
+        self.unlit.range((Excluded(self.lit_sequence), Included(Sequence::MAX))).count()
+    }
+
+    /// What edits asked for that are not lit yet, with their sequence numbers.
+    pub(crate) fn unlit_edits(&self) -> Vec<(Sequence, Arc<[Edit]>)> {
+        self.unlit.values().map(|unlit| (unlit.sequence, unlit.edits.clone())).collect()
     }
 
     /// The next version, which shows the geometry up to `sequence` with old light; `None` where it is shown already.
     pub(crate) fn show(&mut self, published: &Published, sequence: Sequence) -> Option<Published> {
+        if sequence <= self.shown_sequence {
+            return None;
+        }
         let mut map = published.map.clone();
         let mut world = None;
-        for (_, transition) in self.transitions.range((Excluded(self.shown_sequence), Included(sequence))) {
-            map = carry_over(transition, &map);
-            world = Some(transition.after.clone());
+        for (_, unlit) in self.unlit.range((Excluded(self.shown_sequence), Included(sequence))) {
+            map = carry_over(&unlit.transition, &map);
+            world = Some(unlit.transition.after.clone());
         }
-        self.shown_sequence = self.shown_sequence.max(sequence);
+        self.shown_sequence = sequence;
         let world = world?;
+        self.right_for = None;
         if self.lit.is_none() {
-            self.drop_lit_transitions(self.shown_sequence);
+            self.drop_lit(self.shown_sequence);
         }
         Some(published.next(Some(world), map, published.estimated_rmse))
     }
@@ -84,31 +138,39 @@ impl Lighting {
         match &self.lit {
             None => Work::Bake(Box::new(published.world.clone())),
             Some(map) => {
-                let due = self.transitions.range((Excluded(self.lit_sequence), Included(self.shown_sequence)));
-                Work::Update(map.clone(), due.map(|(s, t)| (*s, t.clone())).collect())
+                let due = self.unlit.range((Excluded(self.lit_sequence), Included(self.shown_sequence)));
+                Work::Update(map.clone(), due.map(|(_, unlit)| unlit.clone()).collect())
             }
         }
     }
 
+    /// The stated error of the published light where it is right for `sequence` already: a job that starts again
+    /// publishes nothing worse.
+    pub(crate) fn floor(&self, published: &Published, sequence: Sequence) -> Option<f32> {
+        (self.right_for == Some(sequence) && self.shown_sequence == sequence).then_some(published.estimated_rmse)?
+    }
+
     /// The next version, which shows a map that is right for `sequence` on the published world.
-    pub(crate) fn snapshot(&self, published: &Published, sequence: Sequence, lit: Lit<'_>) -> Published {
+    pub(crate) fn snapshot(&mut self, published: &Published, sequence: Sequence, lit: Lit<'_>) -> Published {
         let mut map = lit.map.clone();
-        for (_, transition) in self.transitions.range((Excluded(sequence), Included(self.shown_sequence))) {
-            map = carry_over(transition, &map);
+        for (_, unlit) in self.unlit.range((Excluded(sequence), Included(self.shown_sequence))) {
+            map = carry_over(&unlit.transition, &map);
         }
+        self.right_for = lit.is_right.then_some(sequence);
         published.next(None, map, lit.estimated_rmse)
     }
 
     /// `map` is right for `sequence`.
     pub(crate) fn set_lit(&mut self, sequence: Sequence, map: Arc<LightMap>) {
         self.lit = Some(map);
-        self.drop_lit_transitions(sequence);
+        self.drop_lit(sequence);
     }
 
     /// No map can be trusted: the next job bakes.
     pub(crate) fn distrust(&mut self) {
         self.lit = None;
-        self.drop_lit_transitions(self.shown_sequence);
+        self.right_for = None;
+        self.drop_lit(self.shown_sequence);
     }
 
     /// The sequence number of the published world.
@@ -116,8 +178,8 @@ impl Lighting {
         self.shown_sequence
     }
 
-    fn drop_lit_transitions(&mut self, sequence: Sequence) {
+    fn drop_lit(&mut self, sequence: Sequence) {
         self.lit_sequence = self.lit_sequence.max(sequence);
-        self.transitions = self.transitions.split_off(&(self.lit_sequence + 1));
+        self.unlit = self.unlit.split_off(&(self.lit_sequence + 1));
     }
 }

@@ -1,14 +1,17 @@
 //! Scenes in memory.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 
 use jiff::Timestamp;
 use tokio::sync::watch;
 
-use super::lighting::{Lighting, Lit, Sequence, Work};
+use super::lighting::{Lighting, Lit, Sequence, Unlit, Work};
+use super::records::{KeyRecord, LightRecord};
 use super::versions::{Mode, Published};
-use crate::engine::{LightMap, Transition, World};
+use crate::config::Limits;
+use crate::engine::{Edit, LightMap, World};
 use crate::events::EventLog;
 use crate::jobs::queue::{JobNumber, SceneNumber};
 
@@ -25,6 +28,13 @@ pub(crate) struct SceneEntry {
     lighting: Mutex<Lighting>,
     published: watch::Sender<Arc<Published>>,
     deleted: watch::Sender<bool>,
+    /// No version above it may be given before more are reserved.
+    pub(crate) reserved: AtomicU64,
+    /// A save is under way: another would only repeat it.
+    pub(crate) saving: AtomicBool,
+    error: Mutex<Option<String>>,
+    /// It cannot be served: only looked at and deleted.
+    pub(crate) is_damaged: bool,
 }
 
 /// What the next edit is validated against.
@@ -40,21 +50,45 @@ pub(crate) struct Head {
 
 impl SceneEntry {
     /// A scene without light.
-    pub(crate) fn new(new: NewScene, world: World, events: usize, keys: usize) -> SceneEntry {
+    pub(crate) fn new(new: NewScene, world: World, limits: &Limits) -> SceneEntry {
         let published = Published::black(world.clone(), new.mode);
-        let head = Head { world, sequence: 0, jobs: 0, keys: IdempotencyKeys::new(keys) };
+        let head = Head { world, sequence: 0, jobs: 0, keys: IdempotencyKeys::new(limits.idempotency_keys) };
+        SceneEntry::with(new, head, Lighting::new(), published, limits)
+    }
+
+    /// A scene of an earlier life.
+    pub(crate) fn with(
+        new: NewScene,
+        head: Head,
+        lighting: Lighting,
+        published: Published,
+        limits: &Limits,
+    ) -> SceneEntry {
         SceneEntry {
             number: new.number,
             id: new.id,
             name: new.name,
             mode: new.mode,
             created_at: new.created_at,
-            events: Arc::new(EventLog::new(events)),
+            events: Arc::new(EventLog::new(limits.events, new.first_event)),
             head: Arc::new(tokio::sync::Mutex::new(head)),
-            lighting: Mutex::new(Lighting::new()),
+            lighting: Mutex::new(lighting),
             published: watch::Sender::new(Arc::new(published)),
             deleted: watch::Sender::new(false),
+            reserved: AtomicU64::new(new.reserved),
+            saving: AtomicBool::new(false),
+            error: Mutex::new(new.error),
+            is_damaged: new.is_damaged,
         }
+    }
+
+    /// What is wrong with it, for people.
+    pub(crate) fn error(&self) -> Option<String> {
+        self.error.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    pub(crate) fn set_error(&self, error: Option<String>) {
+        *self.error.lock().unwrap_or_else(PoisonError::into_inner) = error;
     }
 
     /// What clients see now.
@@ -80,8 +114,29 @@ impl SceneEntry {
         self.deleted.send_replace(true);
     }
 
-    pub(crate) fn accept(&self, sequence: Sequence, transition: Transition) {
-        self.lighting().accept(sequence, transition);
+    pub(crate) fn accept(&self, unlit: Unlit) {
+        self.lighting().accept(unlit);
+    }
+
+    /// Light and version of one moment, to be saved.
+    pub(crate) fn light_record(&self) -> LightRecord {
+        // What is costly is done without the lock.
+        let (published, shown, right_for, lit) = {
+            let lighting = self.lighting();
+            let (right_for, lit) = lighting.saved();
+            (self.published(), lighting.shown(), right_for, lit)
+        };
+        LightRecord {
+            about: published.state(shown, right_for),
+            map: published.map.clone(),
+            changed: published.changed.clone(),
+            lit,
+        }
+    }
+
+    /// What edits asked for that are not lit yet.
+    pub(crate) fn unlit_edits(&self) -> Vec<(Sequence, Arc<[Edit]>)> {
+        self.lighting().unlit_edits()
     }
 
     pub(crate) fn unlit(&self) -> usize {
@@ -95,15 +150,18 @@ impl SceneEntry {
         Some(self.publish(next))
     }
 
-    pub(crate) fn work(&self, max_unlit: usize) -> (Work, Sequence) {
+    /// What to do, what it leads to, and the stated error of what is published for that already.
+    pub(crate) fn work(&self, max_unlit: usize) -> (Work, Sequence, Option<f32>) {
         let mut lighting = self.lighting();
-        let work = lighting.work(&self.published(), max_unlit);
-        (work, lighting.shown())
+        let published = self.published();
+        let work = lighting.work(&published, max_unlit);
+        let shown = lighting.shown();
+        (work, shown, lighting.floor(&published, shown))
     }
 
     /// Publishes a map that is right for `sequence`.
     pub(crate) fn snapshot(&self, sequence: Sequence, lit: Lit<'_>) -> Arc<Published> {
-        let lighting = self.lighting();
+        let mut lighting = self.lighting();
         let next = lighting.snapshot(&self.published(), sequence, lit);
         self.publish(next)
     }
@@ -136,6 +194,12 @@ pub(crate) struct NewScene {
     pub(crate) name: String,
     pub(crate) mode: Mode,
     pub(crate) created_at: Timestamp,
+    /// Ids of its events rise from the one after it.
+    pub(crate) first_event: u64,
+    /// Versions that may be given.
+    pub(crate) reserved: u64,
+    pub(crate) error: Option<String>,
+    pub(crate) is_damaged: bool,
 }
 
 /// A remembered request.
@@ -156,7 +220,7 @@ pub(crate) struct IdempotencyKeys {
 }
 
 impl IdempotencyKeys {
-    fn new(capacity: usize) -> IdempotencyKeys {
+    pub(crate) fn new(capacity: usize) -> IdempotencyKeys {
         IdempotencyKeys { capacity: capacity.max(1), by_key: HashMap::new(), order: VecDeque::new() }
     }
 
@@ -164,7 +228,9 @@ impl IdempotencyKeys {
         self.by_key.get(key)
     }
 
-    pub(crate) fn insert(&mut self, key: String, remembered: Remembered) {
+    pub(crate) fn insert(&mut self, record: KeyRecord) {
+        let KeyRecord { key, body_hash, job, answer } = record;
+        let remembered = Remembered { body_hash, job, answer };
         if self.order.len() == self.capacity
             && let Some(oldest) = self.order.pop_front()
         {
@@ -197,6 +263,11 @@ impl Scenes {
         self.read().by_number.get(&number).cloned()
     }
 
+    /// All scenes, the oldest first.
+    pub(crate) fn all(&self) -> Vec<Arc<SceneEntry>> {
+        self.read().by_number.values().cloned().collect()
+    }
+
     /// Scenes with numbers below `before`, newest first.
     pub(crate) fn older_than(&self, before: SceneNumber, limit: usize) -> Vec<Arc<SceneEntry>> {
         self.read().by_number.range(..before).rev().take(limit).map(|(_, scene)| scene.clone()).collect()
@@ -214,7 +285,15 @@ impl Scenes {
     }
 
     pub(crate) fn insert(&self, scene: Arc<SceneEntry>) {
-        self.write().by_number.insert(scene.number, scene);
+        let mut held = self.write();
+        held.newest = held.newest.max(scene.number);
+        held.by_number.insert(scene.number, scene);
+    }
+
+    /// Numbers up to this one were given before.
+    pub(crate) fn begin_after(&self, newest: SceneNumber) {
+        let mut held = self.write();
+        held.newest = held.newest.max(newest);
     }
 
     pub(crate) fn remove(&self, number: SceneNumber) -> Option<Arc<SceneEntry>> {

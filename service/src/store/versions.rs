@@ -8,11 +8,47 @@ use std::sync::{Arc, OnceLock};
 
 use glam::Vec3;
 use rebake_core::delta::{Frame, same_bits};
+use serde::{Deserialize, Serialize};
 
-use crate::engine::{LightMap, ObjectSummary, World, objects};
+use super::records::LightState;
+use crate::engine::{LightMap, ObjectSummary, World, layout_hash, objects};
+
+/// Versions that are reserved for a scene at once. No version above the reserved ones is ever given, so after a crash
+/// the next one is new even where the light of the last ones is lost.
+pub(crate) const RESERVE: u64 = 1_000_000;
+
+/// What a new scene reserves.
+pub(crate) const FIRST_RESERVE: u64 = RESERVE;
+
+/// Which versions led to the present one. Those whose light was lost in a crash did not.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Lineage {
+    /// Versions below are not known any more.
+    oldest: u64,
+    /// The versions strictly between each two are lost.
+    lost: Vec<(u64, u64)>,
+}
+
+impl Lineage {
+    /// Crashes that are remembered one by one.
+    const REMEMBERED: usize = 256;
+
+    /// Whether what changed since `version` can be told.
+    pub(crate) fn knows(&self, version: u64) -> bool {
+        version >= self.oldest && !self.lost.iter().any(|(last, next)| (last + 1..*next).contains(&version))
+    }
+
+    /// The light of the versions strictly between `last` and `next` is lost.
+    pub(crate) fn lose(&mut self, last: u64, next: u64) {
+        self.lost.push((last, next));
+        if self.lost.len() > Lineage::REMEMBERED {
+            self.oldest = self.lost.remove(0).1;
+        }
+    }
+}
 
 /// What the published values are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) enum Mode {
     /// Direct + indirect light.
     Full,
@@ -63,7 +99,8 @@ pub(crate) struct Published {
     /// Direct + indirect, where that is what is published.
     totals: Option<Vec<Vec3>>,
     /// Per slot: the version that last changed its value.
-    changed: Vec<u64>,
+    pub(crate) changed: Arc<[u64]>,
+    lineage: Arc<Lineage>,
 }
 
 impl Published {
@@ -79,7 +116,61 @@ impl Published {
             estimated_rmse: None,
             mode,
             totals: (mode == Mode::Full).then(|| vec![Vec3::ZERO; slots]),
-            changed: vec![0; slots],
+            changed: vec![0; slots].into(),
+            lineage: Arc::default(),
+        }
+    }
+
+    /// What was saved, in a new life. `reserved`: no version above it was ever given.
+    pub(crate) fn restored(
+        world: World,
+        mode: Mode,
+        state: LightState,
+        map: Arc<LightMap>,
+        changed: Arc<[u64]>,
+        reserved: u64,
+    ) -> Published {
+        let LightState { mut version, elements_version, estimated_rmse, mut lineage, .. } = state;
+        if reserved > version {
+            // Clients may have versions that are lost. Where their version is not a part of what led to the new one,
+            // they get everything.
+            lineage.lose(version, reserved + 1);
+            version = reserved + 1;
+        }
+        Published {
+            version,
+            elements_version,
+            world,
+            objects: Arc::default(),
+            estimated_rmse,
+            mode,
+            totals: (mode == Mode::Full).then(|| totals(&map)),
+            changed,
+            lineage: Arc::new(lineage),
+            map,
+        }
+    }
+
+    /// No light after a life whose light is lost or fits no more: clients get everything.
+    pub(crate) fn lost(world: World, mode: Mode, reserved: u64) -> Published {
+        let black = Published::black(world, mode);
+        let version = reserved + 1;
+        let mut lineage = Lineage::default();
+        lineage.lose(0, version);
+        let changed = vec![version; black.map.len()].into();
+        Published { version, elements_version: version, changed, lineage: Arc::new(lineage), ..black }
+    }
+
+    /// What is to be saved beside the maps.
+    pub(crate) fn state(&self, shown: u64, right_for: Option<u64>) -> LightState {
+        LightState {
+            version: self.version,
+            elements_version: self.elements_version,
+            shown,
+            right_for,
+            estimated_rmse: self.estimated_rmse,
+            lineage: (*self.lineage).clone(),
+            layout: layout_hash(&self.world),
         }
     }
 
@@ -106,7 +197,8 @@ impl Published {
             estimated_rmse,
             mode: self.mode,
             totals,
-            changed: Vec::new(),
+            changed: Arc::default(),
+            lineage: self.lineage.clone(),
         };
         let (old, new) = (self.values(), next.values());
         let since = |slot: usize| match old.get(slot) {
@@ -144,9 +236,9 @@ impl Published {
         }
     }
 
-    /// What a client at version `since` lacks; everything where that is 0.
+    /// What a client at version `since` lacks; everything where that is 0 or nothing is known of that version.
     pub(crate) fn delta(&self, since: u64) -> Frame {
-        if since == 0 {
+        if since == 0 || !self.lineage.knows(since) {
             return Frame::whole(self.values(), self.version);
         }
         Frame::from_changed(self.values(), |slot| self.changed[slot] > since, since, self.version)
@@ -162,4 +254,22 @@ impl Published {
 
 fn totals(map: &LightMap) -> Vec<Vec3> {
     map.direct.iter().zip(&map.indirect).map(|(direct, indirect)| *direct + *indirect).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lost_versions_are_not_known() {
+        let mut lineage = Lineage::default();
+        assert!(lineage.knows(0) && lineage.knows(7));
+        lineage.lose(7, 1_000_001);
+        assert!(lineage.knows(7) && !lineage.knows(8) && !lineage.knows(1_000_000) && lineage.knows(1_000_001));
+        for life in 1..=Lineage::REMEMBERED as u64 {
+            lineage.lose(life * 1_000_000 + 5, (life + 1) * 1_000_000 + 1);
+        }
+        assert!(!lineage.knows(7) && !lineage.knows(8), "too long ago");
+        assert!(lineage.knows(1_000_001) && !lineage.knows(1_000_006) && lineage.knows(2_000_001));
+    }
 }

@@ -1,6 +1,7 @@
 //! `rebake demo`: the service on a built-in room, used as any client uses it, and measured.
 
 mod measure;
+mod pictures;
 mod room;
 
 use std::net::SocketAddr;
@@ -24,17 +25,26 @@ use super::serve;
 use super::ui::{self, Table};
 use super::values::positive;
 use measure::Comparison;
+use pictures::Pictures;
 
 const AFTER_HELP: &str = "\
 Where a terminal is attached the service goes on running afterwards, to be tried with `rebake watch`, `rebake edit` \
 or curl; --exit ends it. Nothing is written to disk unless --save asks for it.
   rebake demo
   rebake demo --exit --spacing 0.1
-  rebake demo --save demo                  room.glb, chair.glb and the last light map, to start from";
+  rebake demo --save demo                  room.glb, chair.glb and the last light map, to start from
+  rebake demo --exit --pictures docs       the pictures of the README";
 
 const HEADINGS: [&str; 9] =
     ["step", "elements", "rays", "first light", "done", "stated error", "error", "path tracing", "ratio"];
 const WIDTHS: [usize; 9] = [12, 8, 7, 11, 7, 12, 16, 12, 7];
+
+/// The room with its chair, and its spacing: what `rebake bench` measures without a file.
+pub(super) fn bench_scene() -> (rebake_core::scene::Scene, f32) {
+    let mut scene = room::room();
+    scene.objects.extend(room::chair().objects.into_iter().map(|chair| chair.placed(room::chair_place())));
+    (scene, room::SPACING)
+}
 
 /// Arguments of `rebake demo`.
 #[derive(Debug, clap::Args)]
@@ -55,6 +65,9 @@ pub(super) struct DemoArgs {
     /// Write the room, the chair and the last light map into this directory
     #[arg(long, value_name = "DIR")]
     save: Option<PathBuf>,
+    /// Write pictures of the room before and after the edits, of the change and of the stated error into this directory
+    #[arg(long, value_name = "DIR")]
+    pictures: Option<PathBuf>,
 }
 
 /// Runs the demo.
@@ -87,6 +100,10 @@ async fn steps(args: &DemoArgs, address: SocketAddr, stays: bool) -> anyhow::Res
     ui::out(&format!("service on http://{address}, a room of 5 × 2.8 × 4 m made in code, {} threads\n", demo.threads))?;
     ui::out(&ui::bold(&demo.table.row(&HEADINGS)))?;
     demo.bake().await?;
+    let mut pictures = args.pictures.as_deref().map(Pictures::new).transpose()?;
+    if let Some(pictures) = &mut pictures {
+        pictures.light(&demo.client, &demo.scene, "room-before.png").await?;
+    }
     let asset = demo.client.create_asset(demo.chair_glb.clone()).await?;
     let place = room::chair_place();
     let chair = load_glb(&demo.chair_glb, &LoadLimits::default())?;
@@ -95,6 +112,10 @@ async fn steps(args: &DemoArgs, address: SocketAddr, stays: bool) -> anyhow::Res
     demo.edit("+ chair", insert, inserted).await?;
     let removed = Edit::Remove { objects: vec![room::SOFA.to_owned()] };
     demo.edit("- sofa", json!({"op": "remove", "objects": [room::SOFA]}), removed).await?;
+    if let Some(pictures) = &mut pictures {
+        pictures.light(&demo.client, &demo.scene, "room-after.png").await?;
+        pictures.change_and_error(&demo.client, &demo.scene).await?;
+    }
     let relight = json!({"op": "relight", "lights": [{"light": room::LAMP, "intensity": room::LAMP_INTENSITY / 2.0}]});
     let dimmed = Relight { light: room::LAMP.to_owned(), color: None, intensity: Some(room::LAMP_INTENSITY / 2.0) };
     demo.edit("lamp at half", relight, Edit::Relight { lights: vec![dimmed] }).await?;
@@ -304,6 +325,9 @@ impl Demo {
     fn invite(&self, address: SocketAddr) -> anyhow::Result<()> {
         let scene = &self.scene;
         let server = if address.port() == 7878 { String::new() } else { format!(" --server http://{address}") };
+        if rebake::viewer::is_embedded() {
+            ui::out(&format!("\nThe room is on a page, to look at and to edit: http://{address}/#{scene}"))?;
+        }
         ui::out(&format!(
             "\nThe service goes on running; Ctrl-C ends it. Try in another terminal:\n  \
              rebake watch {scene}{server}\n  \

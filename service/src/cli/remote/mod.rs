@@ -23,15 +23,22 @@ use super::ui;
 
 /// Where the service is.
 #[derive(Debug, clap::Args)]
-struct ServerArgs {
+pub(super) struct ServerArgs {
     /// Address of the service
     #[arg(long, value_name = "URL", env = "REBAKE_SERVER", default_value = "http://127.0.0.1:7878")]
     server: String,
+    /// Access token, where the service asks for one
+    #[arg(long, value_name = "TOKEN", env = "REBAKE_TOKEN", hide_env_values = true)]
+    token: Option<String>,
 }
 
 impl ServerArgs {
-    fn client(&self) -> anyhow::Result<Client> {
-        Ok(Client::new(&self.server)?)
+    pub(super) fn client(&self) -> anyhow::Result<Client> {
+        let client = Client::new(&self.server)?;
+        Ok(match &self.token {
+            Some(token) => client.with_token(token)?,
+            None => client,
+        })
     }
 }
 
@@ -55,7 +62,10 @@ fn read_file(path: &Path) -> anyhow::Result<Vec<u8>> {
 }
 
 /// Runs `work` unless Ctrl-C comes first; `hint` says what goes on regardless.
-async fn interruptible<T>(work: impl Future<Output = anyhow::Result<T>>, hint: &'static str) -> anyhow::Result<T> {
+pub(super) async fn interruptible<T>(
+    work: impl Future<Output = anyhow::Result<T>>,
+    hint: &'static str,
+) -> anyhow::Result<T> {
     tokio::select! {
         result = work => result,
         _ = tokio::signal::ctrl_c() => Err(Interrupted(hint).into()),

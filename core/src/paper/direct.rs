@@ -1,0 +1,63 @@
+//! `𝒪[L_e]`: the shadow of the object and the light it sends out itself, by area sampling of the lights (section 3.4).
+
+use glam::Vec3;
+
+use super::scenes::ObjectScene;
+use crate::bvh::Ray;
+use crate::job::Canceled;
+use crate::random::{Pcg32, R2, subseed};
+use crate::transport::direct::{SHADOW_END, below_horizon, visible_weight};
+use crate::transport::{DirectLight, Work};
+use crate::world::Emitter;
+
+impl ObjectScene<'_> {
+    /// Change of direct light (irradiance / π) that the object makes at all elements of S. The background, which has
+    /// no area to sample, is left to the object operator.
+    pub(super) fn direct_change(&self, samples: u32, seed: u64, work: &Work) -> Result<Vec<Vec3>, Canceled> {
+        let counts = DirectLight::new(self.with, samples);
+        let emitters = &self.with.emitters.list;
+        let of_object: Vec<bool> = emitters.iter().map(|e| self.is_of_object(e)).collect();
+        let seed = subseed(seed, 0xd1);
+        work.map(&self.rows, |_, slot, rays| {
+            let (point, n) = self.with.ray_origin(slot as usize);
+            let mut rng = Pcg32::new(seed, u64::from(slot));
+            let mut sum = Vec3::ZERO;
+            for ((emitter, &count), &own) in emitters.iter().zip(&counts.samples).zip(&of_object) {
+                if count == 0 || below_horizon(emitter, point, n) {
+                    continue;
+                }
+                let sequence = R2::new(&mut rng);
+                let mut weight = 0.0;
+                for k in 0..count {
+                    let u = sequence.get(k);
+                    weight += if own {
+                        visible_weight(emitter, self.with, &self.with.trees, point, n, u, rays)
+                    } else {
+                        -self.hidden_weight(emitter, point, n, u, rays)
+                    };
+                }
+                sum += emitter.strength * (weight / count as f32);
+            }
+            sum
+        })
+    }
+
+    /// Weight of a light sample that the object hides and S does not.
+    fn hidden_weight(&self, emitter: &Emitter, point: Vec3, n: Vec3, u: [f32; 2], rays: &mut u64) -> f32 {
+        let Some(sample) = emitter.sample(point, n, u) else { return 0.0 };
+        let end = if sample.distance.is_finite() { sample.distance * SHADOW_END + self.with.epsilon } else { 0.0 };
+        let segment = Ray { origin: point, direction: sample.direction, t_min: 0.0, t_max: sample.distance - end };
+        *rays += 1;
+        if !self.object.any_hit(&segment, None) {
+            return 0.0;
+        }
+        *rays += 1;
+        if self.without.any_hit(&segment) { 0.0 } else { sample.weight }
+    }
+
+    fn is_of_object(&self, emitter: &Emitter) -> bool {
+        emitter.object.is_some_and(|key| {
+            self.with.parts.iter().zip(&self.is_object).any(|(part, is_object)| *is_object && part.object == key)
+        })
+    }
+}

@@ -1,0 +1,157 @@
+//! Lights as a path meets them: sampled from a vertex, or hit by a ray that was sampled by the cosine.
+//!
+//! Write `w` for a light sample's weight: its contribution to irradiance / π per unit radiance over its density, which
+//! is `p_cos / p_light`. With `a` light samples and `b` cosine samples the balance heuristic turns a light sample into
+//! `w / (a + b w)` and a hit into `w / (a + b w)` as well, per sample of each: bounded, whatever the geometry. For one
+//! light chosen with probability q, `a` is q.
+
+use std::f32::consts::FRAC_1_PI;
+
+use glam::Vec3;
+
+use crate::bvh::{Hit, Ray};
+use crate::random::{Pcg32, R2};
+use crate::sampling::SphericalTriangle;
+use crate::scene::LightKind;
+use crate::transport::DirectLight;
+use crate::transport::direct::{below_horizon, visible_weight};
+use crate::world::{Emitter, Placed, Shape, World};
+
+const NONE: u32 = u32::MAX;
+
+/// A world's lights with the way back from triangles to them.
+pub(super) struct Lights<'a> {
+    pub(super) world: &'a World,
+    /// Light samples of an element per batch.
+    counts: DirectLight,
+    /// Cosine samples of an element per batch.
+    cosine_samples: f32,
+    /// Per triangle slot: index into `hits`.
+    of_triangle: Vec<u32>,
+    /// Emitter and index among its triangles.
+    hits: Vec<(u32, u32)>,
+}
+
+impl<'a> Lights<'a> {
+    /// For batches of `samples` paths.
+    pub(super) fn new(world: &'a World, samples: u32) -> Lights<'a> {
+        let counts = DirectLight::new(world, samples);
+        let mut lights = Lights {
+            world,
+            counts,
+            cosine_samples: samples as f32,
+            of_triangle: vec![NONE; world.geometry.triangles.len()],
+            hits: Vec::new(),
+        };
+        for (index, emitter) in world.emitters.list.iter().enumerate() {
+            lights.add_triangles(index as u32, emitter);
+        }
+        lights
+    }
+
+    /// Triangles of an emissive surface, in the order of its emitter.
+    fn add_triangles(&mut self, index: u32, emitter: &Emitter) {
+        let Some((placed, material)) = emissive_part(self.world, emitter) else { return };
+        let surface = &placed.surface;
+        let slots = placed.placement.triangles.clone();
+        let mut next = 0;
+        for (slot, (corners, m)) in slots.zip(surface.triangles.iter().zip(&surface.triangle_materials)) {
+            let [a, b, c] = corners.map(|i| surface.vertices[i as usize]);
+            // The emitter leaves triangles without an area out.
+            if *m == material && (b - a).cross(c - a).length() > 0.0 {
+                self.of_triangle[slot as usize] = self.hits.len() as u32;
+                self.hits.push((index, next));
+                next += 1;
+            }
+        }
+    }
+
+    /// Direct light of an element from a batch of light samples, the share of the balance heuristic.
+    pub(super) fn stratified(&self, point: Vec3, n: Vec3, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
+        let world = self.world;
+        let mut sum = Vec3::ZERO;
+        for (emitter, &count) in world.emitters.list.iter().zip(&self.counts.samples) {
+            if count == 0 || below_horizon(emitter, point, n) {
+                continue;
+            }
+            let sequence = R2::new(rng);
+            for k in 0..count {
+                let w = visible_weight(emitter, world, &world.trees, point, n, sequence.get(k), rays);
+                let cosine_samples = if emitter.is_delta() { 0.0 } else { self.cosine_samples };
+                sum += emitter.strength * (w / (count as f32 + cosine_samples * w));
+            }
+        }
+        sum
+    }
+
+    /// Radiance of a light that a cosine ray of an element met, its share beside [`Lights::stratified`], for a mean
+    /// over all cosine rays.
+    pub(super) fn met_by_first(&self, n: Vec3, ray: &Ray, hit: &Hit) -> Vec3 {
+        let share = |index: u32, w: f32| {
+            let ratio = self.counts.samples[index as usize] as f32;
+            // b w / (a + b w): a mean over b rays divides by b.
+            self.cosine_samples * w / (ratio + self.cosine_samples * w)
+        };
+        self.met_with(n, ray, hit, share)
+    }
+
+    /// One sample of one light chosen by power, at a vertex of a path; its share of the balance heuristic.
+    pub(super) fn sampled(&self, point: Vec3, n: Vec3, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
+        let world = self.world;
+        let Some(choice) = &world.emitters.choice else { return Vec3::ZERO };
+        let (index, _) = choice.sample(rng.next_f32());
+        let emitter = &world.emitters.list[index];
+        let w = visible_weight(emitter, world, &world.trees, point, n, rng.next_2d(), rays);
+        let cosine_samples = if emitter.is_delta() { 0.0 } else { 1.0 };
+        emitter.strength * (w / (choice.pdf(index) + cosine_samples * w))
+    }
+
+    /// Radiance of a light that a cosine ray of a path met, its share beside [`Lights::sampled`].
+    pub(super) fn met(&self, n: Vec3, ray: &Ray, hit: &Hit) -> Vec3 {
+        let choice = self.world.emitters.choice.as_ref();
+        self.met_with(n, ray, hit, |index, w| w / (choice.map_or(0.0, |c| c.pdf(index as usize)) + w))
+    }
+
+    #[inline]
+    fn met_with(&self, n: Vec3, ray: &Ray, hit: &Hit, share: impl Fn(u32, f32) -> f32) -> Vec3 {
+        let entry = self.of_triangle[hit.triangle as usize];
+        if entry == NONE {
+            return Vec3::ZERO;
+        }
+        let (index, triangle) = self.hits[entry as usize];
+        let emitter = &self.world.emitters.list[index as usize];
+        let Some(pdf) = density(emitter, triangle as usize, ray, hit) else { return Vec3::ZERO };
+        // No light sample can come from where the density is zero: the hit counts in full.
+        let part = if pdf > 0.0 { share(index, n.dot(ray.direction) * FRAC_1_PI / pdf) } else { 1.0 };
+        emitter.strength * part
+    }
+}
+
+/// The object of an emissive surface and the index of its material.
+fn emissive_part<'a>(world: &'a World, emitter: &Emitter) -> Option<(&'a Placed, u32)> {
+    let key = emitter.object?;
+    let light = world.scene.lights.iter().find(|light| light.name == emitter.name)?;
+    let LightKind::Emissive { material, .. } = light.kind else { return None };
+    let placed = world.placed.iter().find(|placed| placed.key == key)?;
+    Some((placed, material))
+}
+
+/// Density per steradian with which [`Emitter::sample`] finds the point that a ray met on one of the emitter's
+/// triangles, given the emitter. None where that side emits nothing.
+fn density(emitter: &Emitter, triangle: usize, ray: &Ray, hit: &Hit) -> Option<f32> {
+    let Shape::Surface { triangles, choice, double_sided, .. } = &emitter.shape else { return None };
+    let triangle_pdf = choice.pdf(triangle);
+    let triangle = triangles.get(triangle)?;
+    let [a, b, c] = triangle.corners;
+    let height = (ray.origin - a).dot(triangle.normal);
+    if height <= 0.0 && !double_sided || height == 0.0 {
+        return None;
+    }
+    let to_center = (a + b + c) * (1.0 / 3.0) - ray.origin;
+    let slope = ray.direction.dot(triangle.normal).abs();
+    if to_center.length_squared() < 8.0 * triangle.area {
+        let spherical = SphericalTriangle::new(ray.origin, triangle.corners);
+        return Some(spherical.filter(|_| slope >= 1e-7).map_or(0.0, |s| triangle_pdf * s.pdf()));
+    }
+    Some(if slope > 0.0 { triangle_pdf * hit.t * hit.t / (slope * triangle.area) } else { 0.0 })
+}

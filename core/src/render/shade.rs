@@ -1,0 +1,148 @@
+//! What a camera ray sees.
+
+use glam::Vec3;
+
+use super::camera::Rays;
+use super::{RenderOptions, View};
+use crate::bvh::{Hit, Ray};
+use crate::lightmap::LightMap;
+use crate::random::{Pcg32, R2, subseed};
+use crate::sampling::cosine_hemisphere;
+use crate::scene::LightKind;
+use crate::transport::direct::{below_horizon, one_light, visible_weight};
+use crate::transport::{Field, Rough, Surfel, incoming_light};
+use crate::world::World;
+
+/// Backs that a camera ray passes through at most.
+const MAX_BACKS: u32 = 64;
+
+/// Up to so many lights each gets a shadow ray per sample; of more, as many are chosen by power.
+const MAX_LIGHTS: usize = 32;
+
+/// Everything that pixels share.
+pub(super) struct Shading<'a> {
+    world: &'a World,
+    map: &'a LightMap,
+    view: View,
+    /// Per part: emitted radiance.
+    emission: Vec<Vec3>,
+    /// Direct + indirect; empty where no view needs it.
+    totals: Vec<Vec3>,
+}
+
+impl<'a> Shading<'a> {
+    pub(super) fn new(world: &'a World, map: &'a LightMap, view: View) -> Shading<'a> {
+        let totals = if view == View::Direct { Vec::new() } else { (0..map.len()).map(|i| map.total(i)).collect() };
+        Shading { world, map, view, emission: emission_of_parts(world), totals }
+    }
+
+    /// Mean radiance of a pixel.
+    pub(super) fn pixel(&self, rays: &Rays, x: usize, y: usize, options: &RenderOptions) -> Vec3 {
+        let pixel = (y * options.width + x) as u64;
+        let mut rng = Pcg32::new(subseed(options.seed, 0x91c), pixel);
+        // One sequence per dimension and light, each with its own shift: the samples of a pixel cover its square and
+        // every light evenly.
+        let within = R2::new(&mut rng);
+        let lights = &self.world.emitters.list;
+        let sequences: Vec<R2> = (0..lights.len().min(MAX_LIGHTS) + 1).map(|_| R2::new(&mut rng)).collect();
+        let mut sum = Vec3::ZERO;
+        for k in 0..options.samples {
+            let u = if options.samples == 1 { [0.5, 0.5] } else { within.get(k) };
+            sum += self.radiance(rays.through(x, y, u), k, &sequences, &mut rng);
+        }
+        sum / options.samples as f32
+    }
+
+    fn radiance(&self, ray: Ray, k: u32, sequences: &[R2], rng: &mut Pcg32) -> Vec3 {
+        let Some((ray, hit)) = first_front(self.world, ray) else {
+            return match self.view {
+                View::Full | View::Direct => self.world.emitters.environment,
+                View::Indirect | View::LightMap => Vec3::ZERO,
+            };
+        };
+        let Some(surfel) = Surfel::to_look_up(self.world, &ray, &hit, &mut 0) else { return Vec3::ZERO };
+        let emission = self.emission[surfel.part as usize];
+        match self.view {
+            View::Full => {
+                emission + surfel.albedo * (self.direct(&surfel, k, sequences, rng) + self.indirect(&surfel, rng))
+            }
+            View::Direct => emission + surfel.albedo * self.direct(&surfel, k, sequences, rng),
+            View::Indirect => surfel.albedo * self.indirect(&surfel, rng),
+            View::LightMap => surfel.elements.map_or(Vec3::ZERO, |e| surfel.interpolate(e, &self.totals)),
+        }
+    }
+
+    /// irradiance / π straight from lights: sample `k` of every light.
+    fn direct(&self, surfel: &Surfel, k: u32, sequences: &[R2], rng: &mut Pcg32) -> Vec3 {
+        let world = self.world;
+        let n = smooth_normal(world, surfel);
+        let point = surfel.position + surfel.normal * world.epsilon;
+        let (list, mut rays) = (&world.emitters.list, 0);
+        let mut sum = Vec3::ZERO;
+        if list.len() <= MAX_LIGHTS {
+            for (emitter, sequence) in list.iter().zip(sequences) {
+                if emitter.strength != Vec3::ZERO && !below_horizon(emitter, point, n) {
+                    let u = sequence.get(k);
+                    sum += emitter.strength * visible_weight(emitter, world, &world.trees, point, n, u, &mut rays);
+                }
+            }
+        } else {
+            let chosen = (0..MAX_LIGHTS).map(|_| one_light(world, point, n, rng, &mut rays)).sum::<Vec3>();
+            sum += chosen / MAX_LIGHTS as f32;
+        }
+        if world.emitters.environment != Vec3::ZERO {
+            let u = sequences[sequences.len() - 1].get(k);
+            let direction = cosine_hemisphere(n, u);
+            let free = !world.trees.any_hit(&Ray { origin: point, direction, t_min: 0.0, t_max: f32::INFINITY });
+            sum += world.emitters.environment * f32::from(u8::from(free));
+        }
+        sum
+    }
+
+    /// irradiance / π after at least one bounce: from the map, or by one gather where a back has no elements.
+    fn indirect(&self, surfel: &Surfel, rng: &mut Pcg32) -> Vec3 {
+        if let Some(elements) = surfel.elements {
+            return surfel.interpolate(elements, &self.map.indirect);
+        }
+        let rough = Rough::default();
+        let field = Field { direct: &self.totals, indirect: &[], rough: &rough };
+        let origin = surfel.position + surfel.normal * self.world.epsilon;
+        let direction = cosine_hemisphere(surfel.normal, rng.next_2d());
+        incoming_light(self.world, &field, origin, direction, rng, &mut 0)
+    }
+}
+
+/// The first surface that a camera sees along a ray: backs that reflect nothing are looked through. The ray keeps its
+/// origin, so the hit's distance counts from there.
+pub(super) fn first_front(world: &World, mut ray: Ray) -> Option<(Ray, Hit)> {
+    for _ in 0..MAX_BACKS {
+        let hit = world.trees.closest_hit(&ray)?;
+        let part = &world.parts[world.geometry.triangles[hit.triangle as usize].part() as usize];
+        if part.double_sided || hit.normal.dot(ray.direction) <= 0.0 {
+            return Some((ray, hit));
+        }
+        ray.t_min = hit.t.next_up();
+    }
+    None
+}
+
+/// The elements' normals, interpolated: the light map is baked with them, so a sphere looks like one. The geometric
+/// normal where there are none, or where they turn away.
+pub(super) fn smooth_normal(world: &World, surfel: &Surfel) -> Vec3 {
+    let Some(elements) = surfel.elements else { return surfel.normal };
+    let n = surfel.interpolate(elements, &world.geometry.normals).normalize_or(surfel.normal);
+    if n.dot(surfel.normal) > 0.1 { n } else { surfel.normal }
+}
+
+/// Per part: the radiance of its light.
+fn emission_of_parts(world: &World) -> Vec<Vec3> {
+    let mut emission = vec![Vec3::ZERO; world.parts.len()];
+    for light in &world.scene.lights {
+        let LightKind::Emissive { object, material } = &light.kind else { continue };
+        let Some(index) = world.scene.objects.iter().position(|o| o.name == *object) else { continue };
+        if let Some(slot) = emission.get_mut((world.placed[index].parts_first + material) as usize) {
+            *slot = light.strength();
+        }
+    }
+    emission
+}

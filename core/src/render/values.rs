@@ -1,0 +1,124 @@
+//! Pictures of one number per element: change, stated error.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::camera::Rays;
+use super::palette::{Palette, nice_scale};
+use super::shade::{first_front, smooth_normal};
+use super::{RenderOptions, Viewpoint, tiles, write_png};
+use crate::export::ExportError;
+use crate::job::{Canceled, Observer};
+use crate::lightmap::LightMap;
+use crate::random::{Pcg32, R2, subseed};
+use crate::transport::Surfel;
+use crate::world::World;
+
+/// One number per pixel, row by row from the top.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ValuePicture {
+    /// Pixels across.
+    pub width: usize,
+    /// Pixels down.
+    pub height: usize,
+    /// The value looked up in the elements; 0 where there is no surface.
+    pub values: Vec<f32>,
+    /// Cosine between surface and line of sight, 0 where there is no surface: shows shapes, and carries no data.
+    pub facing: Vec<f32>,
+}
+
+/// Per slot: mean over RGB of how much direct + indirect light (irradiance / π) changed between two worlds. Elements
+/// of objects that were not there before count as unchanged: there is nothing to compare them with.
+///
+/// # Panics
+/// Where a map has not one value per slot of its world.
+pub fn change_since(before: (&World, &LightMap), after: (&World, &LightMap)) -> Vec<f32> {
+    let ((old_world, old), (world, new)) = (before, after);
+    assert!(old.len() == old_world.slots() && new.len() == world.slots(), "a light map has one value per slot");
+    let (old_owners, owners) = (&old_world.geometry.owners, &world.geometry.owners);
+    let change = |slot: usize| match old_owners.get(slot) {
+        // Keys are never used again: the same key is the same object.
+        Some(owner) if *owner == owners[slot] => (new.total(slot) - old.total(slot)).element_sum() / 3.0,
+        _ => 0.0,
+    };
+    (0..world.slots()).into_par_iter().map(change).collect()
+}
+
+/// Per slot: the stated standard error of direct + indirect light, mean over RGB.
+pub fn stated_errors(map: &LightMap) -> Vec<f32> {
+    map.variance.iter().map(|v| v.max(0.0).sqrt()).collect()
+}
+
+/// Renders one number per slot on the current rayon pool.
+///
+/// # Errors
+/// [`Canceled`] where the observer says so; it is asked once per tile.
+///
+/// # Panics
+/// Where there is not one value per slot of the world.
+pub fn render_values(
+    world: &World,
+    values: &[f32],
+    viewpoint: &Viewpoint,
+    options: &RenderOptions,
+    observer: &dyn Observer,
+) -> Result<ValuePicture, Canceled> {
+    assert_eq!(values.len(), world.slots(), "one value per slot");
+    let rays = Rays::new(world, viewpoint, options.width, options.height);
+    let sample = |x: usize, y: usize, u: [f32; 2]| {
+        let (ray, hit) = first_front(world, rays.through(x, y, u))?;
+        let surfel = Surfel::new(world, &ray, &hit)?;
+        let facing = smooth_normal(world, &surfel).dot(ray.direction).abs();
+        let [a, b, c] = surfel.weights;
+        let value = surfel
+            .elements
+            .map_or(0.0, |[i, j, k]| values[i as usize] * a + values[j as usize] * b + values[k as usize] * c);
+        Some((value, facing))
+    };
+    let pixel = |x: usize, y: usize| {
+        let mut rng = Pcg32::new(subseed(options.seed, 0x7a1), (y * options.width + x) as u64);
+        let within = R2::new(&mut rng);
+        let (mut value, mut facing) = (0.0, 0.0);
+        for k in 0..options.samples {
+            let u = if options.samples == 1 { [0.5, 0.5] } else { within.get(k) };
+            let (v, f) = sample(x, y, u).unwrap_or_default();
+            value += v;
+            facing += f;
+        }
+        (value / options.samples as f32, facing / options.samples as f32)
+    };
+    let (values, facing) = tiles(options, observer, pixel)?.into_iter().unzip();
+    Ok(ValuePicture { width: options.width, height: options.height, values, facing })
+}
+
+impl ValuePicture {
+    /// A round number that few pixels pass: what [`ValuePicture::png`] takes as `scale` where nobody chose one.
+    pub fn auto_scale(&self) -> f32 {
+        nice_scale(&self.values)
+    }
+
+    /// An 8-bit sRGB PNG: the palette's ends stand for ± `scale`, with its bar and numbers along the lower edge.
+    /// Surfaces seen at a grazing angle are drawn darker, so that shapes can be told.
+    ///
+    /// # Errors
+    /// [`ExportError`] where the picture is empty or too large for the format.
+    pub fn png(&self, scale: f32, palette: Palette) -> Result<Vec<u8>, ExportError> {
+        let mut bytes: Vec<u8> = Vec::with_capacity(3 * self.values.len());
+        for (value, facing) in self.values.iter().zip(&self.facing) {
+            let light = if *facing > 0.0 { 0.45 + 0.55 * facing } else { 0.1 };
+            let color = palette.color(value / scale) * light;
+            bytes.extend(color.to_array().map(|c| (c * 255.0 + 0.5) as u8));
+        }
+        palette.draw_bar(&mut bytes, self.width, self.height, scale);
+        write_png(self.width, self.height, &bytes)
+    }
+
+    /// A 32-bit float OpenEXR picture of the values, the same in R, G and B.
+    ///
+    /// # Errors
+    /// [`ExportError`] where the picture is empty or too large for the format.
+    pub fn exr(&self, attributes: &[(&str, &str)]) -> Result<Vec<u8>, ExportError> {
+        let pixels: Vec<Vec3> = self.values.iter().map(|v| Vec3::splat(*v)).collect();
+        crate::export::write_picture_exr(&pixels, self.width, attributes)
+    }
+}

@@ -1,0 +1,123 @@
+//! `REPORT.json`: what was measured. Field names are part of the contract; times are seconds, errors are RMSE of
+//! radiance / albedo, area-weighted over the light map.
+
+use serde::Serialize;
+
+use super::Mode;
+
+/// All cases of a scene.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// File of the scene.
+    pub scene: String,
+    /// Elements of the scene as it is in the file.
+    pub elements: usize,
+    /// Threads that all methods had.
+    pub threads: usize,
+    /// Largest distance between neighbouring elements, metres.
+    pub spacing: f32,
+    /// What errors are measured on.
+    pub mode: Mode,
+    /// Runs per method and budget; figures are medians over them.
+    pub seeds: u32,
+    /// In the order of the edit file.
+    pub cases: Vec<CaseReport>,
+}
+
+/// One edit.
+#[derive(Clone, Debug, Serialize)]
+pub struct CaseReport {
+    /// From the edit file.
+    pub name: String,
+    /// Elements after the edit.
+    pub elements: usize,
+    /// Area that came or went over the area of the scene after the edit.
+    pub edited_share: f64,
+    /// What errors are measured against.
+    pub reference: ReferenceReport,
+    /// The light map before the edit.
+    pub base: BaseReport,
+    /// RMSE of the old light map in the scene after the edit, new elements black.
+    pub no_update_rmse: f64,
+    /// One entry per method and budget.
+    pub runs: Vec<RunReport>,
+}
+
+/// Path tracing of the scene after the edit.
+#[derive(Clone, Debug, Serialize)]
+pub struct ReferenceReport {
+    /// Paths per element.
+    pub samples_per_element: u32,
+    /// Its own RMSE, which is taken out of all others.
+    pub rmse_noise: f64,
+    /// Elements it was traced for, drawn by area.
+    pub elements: usize,
+    /// Area-weighted mean of what is measured.
+    pub mean: f64,
+}
+
+/// The light map that updates start from. Its error is theirs, too.
+#[derive(Clone, Debug, Serialize)]
+pub struct BaseReport {
+    /// How it was made.
+    pub method: &'static str,
+    /// Samples per element.
+    pub samples_per_element: u32,
+    /// RMSE against path tracing of the scene before the edit; absent where that was not asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rmse: Option<f64>,
+}
+
+/// One method at one budget: medians over the seeds.
+#[derive(Clone, Debug, Serialize)]
+pub struct RunReport {
+    /// `path-trace`, `cached`, `paper` or `rebake`.
+    pub method: String,
+    /// What the run was given, where that was time.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub budget_seconds: Option<f64>,
+    /// Seconds it took.
+    pub seconds: f64,
+    /// Seconds of all processors that it took, where the system tells.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cpu_seconds: Option<f64>,
+    /// Samples per element of the last full pass.
+    pub samples_per_element: u32,
+    /// Rays traced.
+    pub rays: u64,
+    /// RMSE, the reference's own noise taken out; 0 where that hides it.
+    pub rmse: f64,
+    /// Standard error of `rmse` from the reference's noise and the drawing of elements.
+    pub rmse_error: f64,
+    /// Root mean square of what independent runs have in common: bias, that of the old map included. Absent for a
+    /// single seed.
+    pub bias_floor: Option<f64>,
+    /// Standard error of `bias_floor`: where that is below twice this, noise hides the bias.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bias_error: Option<f64>,
+    /// What the method itself says about its error.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub estimated_rmse: Option<f64>,
+    /// RMSE of path tracing in the same time over this one: path tracing's error falls with the root of time.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gain: Option<f64>,
+    /// The same for equal time of the processors: what counts where other work shares them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gain_cpu: Option<f64>,
+    /// For `paper`: N.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub iterations: Option<u32>,
+    /// For `paper`: M.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub path_length: Option<u32>,
+}
+
+impl RunReport {
+    /// Method and its settings, for people.
+    pub fn label(&self) -> String {
+        match (self.iterations, self.path_length) {
+            (Some(n), Some(m)) if (n, m) != (4, 3) => format!("{} N={n} M={m}", self.method),
+            _ => self.method.clone(),
+        }
+    }
+}

@@ -1,0 +1,211 @@
+//! Runs all methods on all cases and measures them.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, ensure};
+use rebake_core::scene::Scene;
+use rebake_core::{Budget, LightMap, Unobserved, World, WorldOptions, bake};
+
+use super::report::{BaseReport, CaseReport, ReferenceReport, Report, RunReport};
+use super::{Case, EditFile, Goal, Method, Mode, PreparedCase, Reference, Timed, run_method};
+
+/// What to run, and how long.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Largest distance between neighbouring elements, metres; from the scene's size where absent.
+    pub spacing: Option<f32>,
+    /// What errors are measured on.
+    pub mode: Mode,
+    /// In the order in which they are run.
+    pub methods: Vec<Method>,
+    /// Budgets, each run anew.
+    pub goals: Vec<Goal>,
+    /// Independent runs per method and budget.
+    pub seeds: u32,
+    /// First seed.
+    pub seed: u64,
+    /// Paths per element of the reference.
+    pub reference_samples: u32,
+    /// Elements of the reference.
+    pub reference_elements: usize,
+    /// Samples per element of the light map before the edit.
+    pub base_samples: u32,
+    /// Measure that light map, too.
+    pub measure_base: bool,
+    /// Only cases of whose name this is a part.
+    pub filter: Option<String>,
+}
+
+/// Is told how far a bench is.
+pub trait Watcher {
+    /// A step begins.
+    fn step(&mut self, _case: &str, _step: &str) {}
+
+    /// A case is done; `report` holds all that are.
+    fn case_done(&mut self, _report: &Report) -> Result<()> {
+        Ok(())
+    }
+}
+
+/// Runs the bench on the current rayon pool. `folder` is where paths in the edit file begin.
+pub fn run(
+    name: &str,
+    scene: &Scene,
+    file: &EditFile,
+    folder: &Path,
+    options: &Options,
+    watcher: &mut dyn Watcher,
+) -> Result<Report> {
+    watcher.step("", "elements of the scene");
+    let mut world_options = WorldOptions { spacing: options.spacing, ..WorldOptions::default() };
+    let (elements, spacing) = {
+        let world = World::new(scene.clone(), &world_options)?;
+        (world.element_count(), world.spacing())
+    };
+    // One spacing for all cases, whatever they take out of the scene first.
+    world_options.spacing = Some(spacing);
+    let (seeds, mode) = (options.seeds, options.mode);
+    let threads = rayon::current_num_threads();
+    let mut report = Report { scene: name.to_owned(), elements, threads, spacing, mode, seeds, cases: Vec::new() };
+    let wanted = |case: &Case| options.filter.as_ref().is_none_or(|part| case.name.contains(part));
+    ensure!(file.cases.iter().any(wanted), "cases: none has a name to run");
+    for (k, case) in file.cases.iter().enumerate().filter(|(_, case)| wanted(case)) {
+        watcher.step(&case.name, "edit");
+        let prepared =
+            case.prepare(scene, folder, &world_options).with_context(|| format!("cases[{k}] ({:?})", case.name))?;
+        report.cases.push(run_case(&prepared, options, watcher)?);
+        watcher.case_done(&report)?;
+    }
+    Ok(report)
+}
+
+fn run_case(case: &PreparedCase, options: &Options, watcher: &mut dyn Watcher) -> Result<CaseReport> {
+    let mode = options.mode;
+    watcher.step(&case.name, "light map before the edit");
+    let budget = Budget { samples_per_element: options.base_samples, target_rmse: None };
+    let base = bake(&case.before, &budget, options.seed ^ 0xba5e_0000_0000, &Unobserved)?;
+    let base_rmse = options.measure_base.then(|| {
+        watcher.step(&case.name, "its error");
+        let truth = Reference::trace(&case.before, options.reference_elements, options.reference_samples, options.seed);
+        truth.mean_square_error(&base, mode).root()
+    });
+    watcher.step(&case.name, "reference");
+    let reference = Reference::trace(&case.after, options.reference_elements, options.reference_samples, options.seed);
+    let untouched = case.transition.carry_over(&base);
+    let mut runs = Vec::new();
+    for &method in &options.methods {
+        for &goal in &options.goals {
+            let timed: Vec<Timed> = (0..options.seeds)
+                .filter_map(|k| {
+                    watcher.step(&case.name, &format!("{}, {}, run {}", method.name(), goal.describe(), k + 1));
+                    run_method(method, case, &base, goal, options.seed.wrapping_add(u64::from(k)))
+                })
+                .collect();
+            if !timed.is_empty() {
+                runs.push(summarize(method, goal, &timed, &reference, mode));
+            }
+        }
+    }
+    add_gains(&mut runs);
+    Ok(CaseReport {
+        name: case.name.clone(),
+        elements: case.after.element_count(),
+        edited_share: case.edited_share(),
+        reference: ReferenceReport {
+            samples_per_element: reference.samples,
+            rmse_noise: reference.noise(mode),
+            elements: reference.slots.len(),
+            mean: reference.mean(mode),
+        },
+        base: BaseReport { method: "bake", samples_per_element: options.base_samples, rmse: base_rmse },
+        no_update_rmse: reference.mean_square_error(&untouched, mode).root(),
+        runs,
+    })
+}
+
+fn summarize(method: Method, goal: Goal, timed: &[Timed], reference: &Reference, mode: Mode) -> RunReport {
+    let errors: Vec<_> = timed.iter().map(|t| reference.mean_square_error(&t.map, mode)).collect();
+    let maps: Vec<&LightMap> = timed.iter().map(|t| &*t.map).collect();
+    let stated: Option<Vec<f64>> = timed.iter().map(|t| t.estimated_rmse.map(f64::from)).collect();
+    let bias = reference.mean_square_bias(&maps, mode);
+    let published = match method {
+        Method::Paper { iterations, path_length, .. } => Some((iterations, path_length)),
+        _ => None,
+    };
+    let cpu: Option<Vec<f64>> = timed.iter().map(|t| t.cpu_seconds).collect();
+    let of = |f: &dyn Fn(&Timed) -> f64| median(timed.iter().map(f).collect());
+    RunReport {
+        method: method.name().to_owned(),
+        budget_seconds: goal.seconds(),
+        seconds: of(&|t| t.seconds),
+        cpu_seconds: cpu.map(median),
+        samples_per_element: of(&|t| f64::from(t.samples)) as u32,
+        rays: of(&|t| t.rays as f64) as u64,
+        rmse: median(errors.iter().map(|e| e.root()).collect()),
+        rmse_error: median(errors.iter().map(|e| e.root_error()).collect()),
+        bias_floor: bias.map(|b| b.root()),
+        bias_error: bias.map(|b| b.root_error()),
+        estimated_rmse: stated.map(median),
+        gain: None,
+        gain_cpu: None,
+        iterations: published.map(|p| p.0),
+        path_length: published.map(|p| p.1),
+    }
+}
+
+/// RMSE of path tracing in the same time over that of each run.
+fn add_gains(runs: &mut [RunReport]) {
+    let gains = gains(runs, |run| Some(run.seconds));
+    let of_cpu = self::gains(runs, |run| run.cpu_seconds);
+    for ((run, gain), gain_cpu) in runs.iter_mut().zip(gains).zip(of_cpu) {
+        (run.gain, run.gain_cpu) = (gain, gain_cpu);
+    }
+}
+
+/// Path tracing has no bias, so that `rmse · √seconds` is a constant of the case, taken as the median over its runs.
+fn gains(runs: &[RunReport], seconds: impl Fn(&RunReport) -> Option<f64>) -> Vec<Option<f64>> {
+    let product = |run: &RunReport| Some(run.rmse * seconds(run)?.sqrt()).filter(|p| *p > 0.0);
+    let traced = runs.iter().filter(|r| r.method == Method::PathTrace.name());
+    let constants: Vec<f64> = traced.filter_map(product).collect();
+    let constant = (!constants.is_empty()).then(|| median(constants));
+    runs.iter().map(|run| Some(constant? / product(run)?)).collect()
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let n = values.len();
+    if n == 0 { f64::NAN } else { 0.5 * (values[(n - 1) / 2] + values[n / 2]) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gains_are_relative_to_path_tracing_at_equal_time() {
+        let run = |method: &str, seconds: f64, rmse: f64| RunReport {
+            method: method.to_owned(),
+            budget_seconds: None,
+            seconds,
+            cpu_seconds: None,
+            samples_per_element: 1,
+            rays: 1,
+            rmse,
+            rmse_error: 0.0,
+            bias_floor: None,
+            bias_error: None,
+            estimated_rmse: None,
+            gain: None,
+            gain_cpu: None,
+            iterations: None,
+            path_length: None,
+        };
+        // Path tracing has 0.2 after 1 s and so 0.1 after 4 s.
+        let mut runs = [run("path-trace", 1.0, 0.2), run("rebake", 4.0, 0.01), run("paper", 1.0, 0.0)];
+        add_gains(&mut runs);
+        let gain = runs[1].gain.expect("a gain");
+        assert!((gain - 10.0).abs() < 1e-9, "{gain}");
+        assert!(runs[2].gain.is_none() && runs[1].gain_cpu.is_none());
+        assert_eq!([median(vec![3.0, 1.0, 2.0]), median(vec![4.0, 1.0])], [2.0, 2.5]);
+    }
+}

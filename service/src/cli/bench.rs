@@ -1,0 +1,314 @@
+//! `rebake bench`: speed against error of all methods, side by side.
+
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use indicatif::ProgressBar;
+use rebake::bench::{self, CaseReport, EditFile, Equation, Goal, Method, Options, Report, RunReport, Watcher};
+use rebake_core::scene::{LoadLimits, Scene, load_glb};
+
+use super::demo;
+use super::exit::Interrupted;
+use super::remote::Replacement;
+use super::ui;
+use super::values::positive;
+
+const AFTER_HELP: &str = "\
+EDITS.json: {\"scene\": \"room.glb\", \"cases\": [{\"name\": \"+ sofa\", \"edit\": \"insert\", \"objects\": [\"Sofa_*\"]}, …]}. \
+edit is insert, remove, move or material; objects may hold * and are one edit; insert takes them out of the scene \
+first, or puts \"asset\": \"chair.glb\" in at \"transform\" (16 numbers, column-major); material has \"albedo\". Paths \
+are relative to the file.
+
+Every method starts from the same scene, elements and trees; updates start from one bake of the scene before the edit. \
+Errors are RMSE of radiance / albedo, weighted by area, against path tracing of the scene after the edit; the \
+reference's own noise is taken out. The bias floor is what independent runs of a method have in common. Beside the \
+report a plot of the same name is written, ending in .svg.
+  rebake bench -o report.json
+  rebake bench room.glb room.edits.json -o report.json
+  rebake bench room.glb room.edits.json --cases sofa --mode indirect --budget-seconds 0.5,2,8 -o report.json
+  rebake bench room.glb room.edits.json --samples 4,16,64,256 -o sweep.json
+  rebake bench room.glb room.edits.json --methods paper --iterations 1,2,4,8 --samples 256 -o over-n.json
+  rebake bench room.glb room.edits.json --methods paper --path-length 0,1,2,3,4,5 --samples 256 -o over-m.json";
+
+/// Arguments of `rebake bench`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = AFTER_HELP)]
+pub(super) struct BenchArgs {
+    /// Scene: a binary glTF file [default: the room of `rebake demo`]
+    #[arg(value_name = "SCENE.glb", requires = "edits")]
+    scene: Option<PathBuf>,
+    /// Edit cases
+    #[arg(value_name = "EDITS.json")]
+    edits: Option<PathBuf>,
+    /// Report to write
+    #[arg(short, long, value_name = "REPORT.json", value_parser = json_file)]
+    output: PathBuf,
+    /// Seconds that each run has
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "0.5,2,8", value_parser = positive)]
+    budget_seconds: Vec<f64>,
+    /// Samples per element of each run, instead of seconds
+    #[arg(long, value_name = "LIST", value_delimiter = ',', conflicts_with = "budget_seconds",
+          value_parser = clap::value_parser!(u32).range(1..))]
+    samples: Vec<u32>,
+    /// What to run
+    #[arg(
+        long,
+        value_name = "LIST",
+        value_delimiter = ',',
+        value_enum,
+        default_value = "path-trace,cached,paper,rebake"
+    )]
+    methods: Vec<MethodName>,
+    /// For paper, N: applications of the object operator; several are run one after the other
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "4")]
+    iterations: Vec<u32>,
+    /// For paper, M: longest path in the scene without the object between two of them
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "3")]
+    path_length: Vec<u32>,
+    /// For paper: equation 3 (all light in one map) or 4 (indirect light, lights sampled)
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(3..=4))]
+    paper_equation: u32,
+    /// Largest distance between neighbouring elements, metres [default: from the scene's size]
+    #[arg(long, value_name = "METRES", value_parser = positive)]
+    spacing: Option<f64>,
+    /// What errors are measured on: all light, or only what has bounced
+    #[arg(long, value_enum, default_value_t = Mode::Full)]
+    mode: Mode,
+    /// Run only cases whose name has this in it
+    #[arg(long, value_name = "PART", allow_hyphen_values = true)]
+    cases: Option<String>,
+    /// Paths per element of the reference
+    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(2..))]
+    reference_samples: u32,
+    /// Elements of the reference, drawn by area
+    #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(16..))]
+    reference_elements: u32,
+    /// Samples per element of the light map before the edit
+    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..))]
+    base_samples: u32,
+    /// Measure the light map before the edit, too: its error is in all updates
+    #[arg(long)]
+    measure_base: bool,
+    /// Independent runs per method and budget; figures are medians
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    seeds: u32,
+    /// First seed of the random numbers
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// Threads [default: one per core]
+    #[arg(long, value_name = "N", env = "REBAKE_THREADS")]
+    threads: Option<NonZeroUsize>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum MethodName {
+    /// From scratch, path by path
+    PathTrace,
+    /// From scratch, by look-ups
+    Cached,
+    /// Update of the old light map by Lu et al. 2025, as published
+    Paper,
+    /// Update of the old light map
+    Rebake,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Mode {
+    Full,
+    Indirect,
+}
+
+fn json_file(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    let json = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("json"));
+    if json { Ok(path) } else { Err("the file has to end in .json".to_owned()) }
+}
+
+impl BenchArgs {
+    fn options(&self) -> Options {
+        Options {
+            spacing: self.spacing.map(|s| s as f32),
+            mode: match self.mode {
+                Mode::Full => bench::Mode::Full,
+                Mode::Indirect => bench::Mode::Indirect,
+            },
+            methods: self.methods(),
+            goals: match self.samples[..] {
+                [] => self.budget_seconds.iter().map(|s| Goal::Seconds(*s)).collect(),
+                _ => self.samples.iter().map(|n| Goal::Samples(*n)).collect(),
+            },
+            seeds: self.seeds,
+            seed: self.seed,
+            reference_samples: self.reference_samples,
+            reference_elements: self.reference_elements as usize,
+            base_samples: self.base_samples,
+            measure_base: self.measure_base,
+            filter: self.cases.clone(),
+        }
+    }
+
+    /// `paper` once for every N and M that is asked for.
+    fn methods(&self) -> Vec<Method> {
+        let equation = match self.paper_equation {
+            3 => Equation::Full,
+            _ => Equation::Indirect,
+        };
+        let published = self.iterations.iter().flat_map(|&iterations| {
+            self.path_length.iter().map(move |&path_length| Method::Paper { iterations, path_length, equation })
+        });
+        let published: Vec<Method> = published.collect();
+        let of = |name: &MethodName| match name {
+            MethodName::PathTrace => vec![Method::PathTrace],
+            MethodName::Cached => vec![Method::Cached],
+            MethodName::Paper => published.clone(),
+            MethodName::Rebake => vec![Method::Rebake],
+        };
+        self.methods.iter().flat_map(of).collect()
+    }
+}
+
+/// Runs the bench.
+pub(super) async fn bench(args: BenchArgs) -> anyhow::Result<()> {
+    let threads = args.threads.map_or(0, NonZeroUsize::get);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().context("cannot start the threads")?;
+    let work = tokio::task::spawn_blocking(move || pool.install(|| bench_file(&args)));
+    tokio::select! {
+        done = work => done.context("the bench broke down")?,
+        _ = tokio::signal::ctrl_c() => Err(Interrupted("; the report holds the cases that were done").into()),
+    }
+}
+
+fn bench_file(args: &BenchArgs) -> anyhow::Result<()> {
+    let mut options = args.options();
+    let (name, scene, file, folder) = match (&args.scene, &args.edits) {
+        (Some(scene), Some(edits)) => {
+            let folder = edits.parent().unwrap_or(Path::new("."));
+            let name = scene.file_name().map_or_else(|| "scene".into(), |n| n.to_string_lossy());
+            (name, load_scene(scene)?, EditFile::read(edits)?, folder)
+        }
+        _ => {
+            let (scene, spacing) = demo::bench_scene();
+            options.spacing.get_or_insert(spacing);
+            ("the demo's room".into(), scene, EditFile::from_json(DEMO_CASES)?, Path::new("."))
+        }
+    };
+    // A place that cannot be written is better known before the bench than after it.
+    drop(Replacement::begin(&args.output)?);
+    let mut screen = Screen { output: args.output.clone(), spinner: ui::spinner("bench") };
+    let report = bench::run(&name, &scene, &file, folder, &options, &mut screen);
+    screen.spinner.finish_and_clear();
+    let source = args.edits.as_ref().map_or_else(|| name.to_string(), |edits| edits.display().to_string());
+    report.context(source).map(drop)
+}
+
+/// Edits of the demo's room.
+const DEMO_CASES: &str = r#"{"scene": "", "cases": [
+    {"name": "+ chair", "edit": "insert", "objects": ["chair"]},
+    {"name": "- chair", "edit": "remove", "objects": ["chair"]},
+    {"name": "- sofa", "edit": "remove", "objects": ["sofa"]},
+    {"name": "+ cupboard", "edit": "insert", "objects": ["cupboard"]},
+    {"name": "dark sofa", "edit": "material", "objects": ["sofa"], "albedo": [0.05, 0.05, 0.06]}
+]}"#;
+
+fn load_scene(path: &Path) -> anyhow::Result<Scene> {
+    let cannot = || format!("cannot load {}", path.display());
+    let glb = std::fs::read(path).with_context(cannot)?;
+    let scene = load_glb(&glb, &LoadLimits::default()).with_context(cannot)?;
+    scene.warnings.iter().for_each(|warning| ui::note(&format!("warning: {warning}")));
+    Ok(scene)
+}
+
+/// Shows what runs, prints and saves what is done.
+struct Screen {
+    output: PathBuf,
+    spinner: ProgressBar,
+}
+
+impl Watcher for Screen {
+    fn step(&mut self, case: &str, step: &str) {
+        self.spinner.set_message(if case.is_empty() { step.to_owned() } else { format!("{case}: {step}") });
+    }
+
+    fn case_done(&mut self, report: &Report) -> anyhow::Result<()> {
+        if let Some(case) = report.cases.last() {
+            let print = || -> anyhow::Result<()> {
+                if report.cases.len() == 1 {
+                    print_head(report)?;
+                }
+                print_case(case)
+            };
+            self.spinner.suspend(print)?;
+        }
+        let mut json = serde_json::to_vec_pretty(report)?;
+        json.push(b'\n');
+        save(&self.output, &json)?;
+        save(&self.output.with_extension("svg"), bench::svg(report).as_bytes())
+    }
+}
+
+fn save(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    let mut out = Replacement::begin(path)?;
+    out.write(bytes)?;
+    out.finish().map(drop)
+}
+
+fn print_head(report: &Report) -> anyhow::Result<()> {
+    ui::out(&format!(
+        "{}: {} elements, spacing {:.3} m, {} threads, medians of {} runs",
+        ui::bold(&report.scene),
+        ui::count(report.elements as u64),
+        report.spacing,
+        report.threads,
+        report.seeds
+    ))
+}
+
+const HEADINGS: [&str; 11] =
+    ["method", "time", "CPU", "samples", "rays", "RMSE", "±", "bias", "stated", "gain", "by CPU"];
+
+fn print_case(case: &CaseReport) -> anyhow::Result<()> {
+    let widths: Vec<usize> = [18, 7, 7, 7, 7, 7, 7, 7, 7, 6, 6].to_vec();
+    let table = ui::Table::new(&HEADINGS, &widths);
+    ui::out("")?;
+    let edited = format!("{:.1} % of the area", 100.0 * case.edited_share);
+    ui::out(&format!("{}, {edited}, {} elements", ui::bold(&case.name), ui::count(case.elements as u64)))?;
+    ui::out(&ui::faint(&table.row(&HEADINGS)))?;
+    let value = |x: Option<f64>| x.map_or_else(|| "–".to_owned(), ui::rmse);
+    let line = |name: &str, rmse: f64| table.row(&[name, "", "", "", "", &ui::rmse(rmse)]);
+    ui::out(&line("no update", case.no_update_rmse))?;
+    if let Some(rmse) = case.base.rmse {
+        ui::out(&line("before the edit", rmse))?;
+    }
+    ui::out(&line("reference's noise", case.reference.rmse_noise))?;
+    for run in &case.runs {
+        ui::out(&table.row(&[
+            run.label(),
+            ui::seconds(run.seconds),
+            run.cpu_seconds.map_or_else(|| "–".to_owned(), ui::seconds),
+            run.samples_per_element.to_string(),
+            ui::short(run.rays as f64),
+            ui::rmse(run.rmse),
+            ui::rmse(run.rmse_error),
+            bias(run),
+            value(run.estimated_rmse),
+            gain(run.gain),
+            gain(run.gain_cpu),
+        ]))?;
+    }
+    Ok(())
+}
+
+/// Bias, or what it is below where noise hides it.
+fn bias(run: &RunReport) -> String {
+    match (run.bias_floor, run.bias_error) {
+        (Some(floor), Some(error)) if floor > 2.0 * error => ui::rmse(floor),
+        (Some(floor), Some(error)) => format!("<{}", ui::rmse(floor + 2.0 * error)),
+        _ => "–".to_owned(),
+    }
+}
+
+/// RMSE of path tracing in the same time over this one.
+fn gain(gain: Option<f64>) -> String {
+    gain.map_or_else(|| "–".to_owned(), |g| if g < 9.95 { format!("{g:.1}×") } else { format!("{g:.0}×") })
+}

@@ -1,0 +1,167 @@
+//! What Prometheus may ask: counters that requests and jobs raise, and gauges read from the state when it asks.
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+
+use prometheus_client::encoding::EncodeLabelSet;
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
+use prometheus_client::registry::{Registry, Unit};
+
+use crate::jobs::queue::{JobKind, JobState};
+use crate::state::App;
+
+/// Answers by route: few, since a route is a pattern and not a path.
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct Route {
+    method: String,
+    route: String,
+    status: u16,
+}
+
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct Ended {
+    kind: &'static str,
+    state: &'static str,
+}
+
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct OfState {
+    state: &'static str,
+}
+
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct OfScene {
+    scene: String,
+}
+
+/// All metrics of the service.
+pub(crate) struct Metrics {
+    requests: Family<Route, Counter>,
+    request_seconds: Histogram,
+    jobs_ended: Family<Ended, Counter>,
+    job_seconds: Histogram,
+    wait_seconds: Histogram,
+    rays: Counter,
+    /// Versions published.
+    pub(crate) versions: Counter,
+    /// Bytes of delta frames, before compression.
+    pub(crate) delta_bytes: Counter,
+    /// Changes that could not be kept.
+    pub(crate) unsaved: Counter,
+}
+
+impl Default for Metrics {
+    fn default() -> Metrics {
+        let seconds = |first: f64| Histogram::new(exponential_buckets(first, 4.0, 9));
+        Metrics {
+            requests: Family::default(),
+            request_seconds: seconds(0.001),
+            jobs_ended: Family::default(),
+            job_seconds: seconds(0.01),
+            wait_seconds: seconds(0.01),
+            rays: Counter::default(),
+            versions: Counter::default(),
+            delta_bytes: Counter::default(),
+            unsaved: Counter::default(),
+        }
+    }
+}
+
+/// How a job ended.
+pub(crate) struct JobEnd {
+    pub(crate) kind: JobKind,
+    pub(crate) state: JobState,
+    pub(crate) wait_seconds: f64,
+    pub(crate) seconds: f64,
+    pub(crate) rays: u64,
+}
+
+impl Metrics {
+    /// Counts an answer.
+    pub(crate) fn answered(&self, method: &str, route: &str, status: u16, seconds: f64) {
+        // Methods are the client's to invent.
+        let method = if matches!(method, "GET" | "POST" | "DELETE" | "HEAD" | "OPTIONS") { method } else { "other" };
+        let route = Route { method: method.to_owned(), route: route.to_owned(), status };
+        self.requests.get_or_create(&route).inc();
+        self.request_seconds.observe(seconds);
+    }
+
+    /// Counts a job that ended.
+    pub(crate) fn job_ended(&self, end: &JobEnd) {
+        let label = Ended { kind: end.kind.as_str(), state: end.state.as_str() };
+        self.jobs_ended.get_or_create(&label).inc();
+        self.job_seconds.observe(end.seconds);
+        self.wait_seconds.observe(end.wait_seconds);
+        self.rays.inc_by(end.rays);
+    }
+
+    fn register(&self, registry: &mut Registry) {
+        registry.register("http_requests", "Answers by route and status", self.requests.clone());
+        let name = "http_request_duration";
+        registry.register_with_unit(name, "Time to the head of an answer", Unit::Seconds, self.request_seconds.clone());
+        registry.register("jobs_ended", "Jobs by how they ended", self.jobs_ended.clone());
+        registry.register_with_unit("job_duration", "Start to end of jobs", Unit::Seconds, self.job_seconds.clone());
+        registry.register_with_unit("job_wait", "Arrival to start of jobs", Unit::Seconds, self.wait_seconds.clone());
+        registry.register("rays", "Rays of jobs that ended", self.rays.clone());
+        registry.register("versions", "Light maps published", self.versions.clone());
+        let help = "Delta frames sent, before compression";
+        registry.register_with_unit("delta", help, Unit::Bytes, self.delta_bytes.clone());
+        registry.register("unsaved", "Changes that could not be kept", self.unsaved.clone());
+    }
+}
+
+impl App {
+    /// All metrics as text.
+    pub(crate) fn metrics_text(self: &Arc<App>) -> Result<String, std::fmt::Error> {
+        let mut registry = Registry::with_prefix("rebake");
+        self.metrics.register(&mut registry);
+        self.register_state(&mut registry);
+        let mut text = String::new();
+        prometheus_client::encoding::text::encode(&mut text, &registry)?;
+        Ok(text)
+    }
+
+    /// Gauges as of now.
+    fn register_state(&self, registry: &mut Registry) {
+        let gauge = |registry: &mut Registry, name: &str, help: &str, value: u64| {
+            let gauge = Gauge::<u64, AtomicU64>::default();
+            gauge.set(value);
+            registry.register(name, help, gauge);
+        };
+        let jobs = Family::<OfState, Gauge<u64, AtomicU64>>::default();
+        self.jobs.with_queue(|queue| {
+            for state in JobState::ALL {
+                let count = queue.iter().filter(|job| job.state == state).count();
+                jobs.get_or_create(&OfState { state: state.as_str() }).set(count as u64);
+            }
+        });
+        registry.register("jobs", "Jobs that are remembered, by state", jobs);
+        let memory = Family::<OfScene, Gauge<u64, AtomicU64>>::default();
+        let version = Family::<OfScene, Gauge<u64, AtomicU64>>::default();
+        let error = Family::<OfScene, Gauge<f64, AtomicU64>>::default();
+        let scenes = self.scenes.all();
+        for scene in &scenes {
+            let (published, label) = (scene.published(), OfScene { scene: scene.id.clone() });
+            let bytes = published.world.memory_bytes() + published.memory_bytes();
+            memory.get_or_create(&label).set(bytes as u64);
+            version.get_or_create(&label).set(published.version);
+            error.get_or_create(&label).set(published.estimated_rmse.map_or(f64::NAN, f64::from));
+        }
+        registry.register_with_unit("scene_memory", "Memory of each scene", Unit::Bytes, memory);
+        registry.register("scene_version", "Version of each light map", version);
+        registry.register("scene_estimated_rmse", "Stated error of each light map", error);
+        let streams = self.config.limits.streams - self.streams.available_permits();
+        gauge(registry, "streams", "Open event and delta streams", streams as u64);
+        gauge(registry, "scenes", "Scenes", scenes.len() as u64);
+        gauge(
+            registry,
+            "scenes_damaged",
+            "Scenes that cannot be served",
+            scenes.iter().filter(|s| s.is_damaged).count() as u64,
+        );
+        gauge(registry, "memory_limit_bytes", "Memory that scenes may take", self.config.limits.memory_bytes);
+    }
+}

@@ -1,0 +1,268 @@
+//! Brings back what a data directory holds: scenes are built from their uploads, edits applied again in their order
+//! (which gives the same slots), light maps loaded, jobs put back in line.
+//!
+//! What cannot be brought back is told, and the rest goes on: a scene whose upload or edits are damaged stays in the
+//! list with its error; one whose light is damaged is baked afresh.
+
+use std::sync::Arc;
+
+use glam::Vec3;
+use jiff::Timestamp;
+
+use crate::api::edit_parse;
+use crate::engine::{self, Edit, World};
+use crate::jobs::observer::JobBudget;
+use crate::jobs::queue::{JobKind, JobState, Outcome, Priority};
+use crate::jobs::{JobSpec, new_record};
+use crate::state::App;
+use crate::store::StoreError;
+use crate::store::disk::{Disk, Saved, SavedScene};
+use crate::store::lighting::{Lighting, Sequence, Unlit};
+use crate::store::records::{JobRecord, LightRecord, SceneRecord};
+use crate::store::scenes::{Head, IdempotencyKeys, NewScene, SceneEntry};
+use crate::store::versions::{Mode, Published, RESERVE};
+
+/// Takes in all that was saved, and starts the jobs that were open.
+pub(crate) fn restore(app: &Arc<App>, disk: &Disk, saved: Saved) {
+    let (scenes, jobs) = (saved.scenes.len(), saved.jobs.len());
+    app.scenes.begin_after(saved.newest_scene);
+    app.begin_jobs_after(saved.newest_job);
+    for id in &saved.assets {
+        if let Err(error) = restore_asset(app, disk, id) {
+            tracing::error!(asset = id, %error, "an asset is lost");
+        }
+    }
+    let mut unbaked = Vec::new();
+    for scene in saved.scenes {
+        let (entry, is_unbaked) = restore_scene(app, disk, scene);
+        if is_unbaked {
+            unbaked.push(entry.clone());
+        }
+        app.scenes.insert(entry);
+    }
+    for record in saved.jobs {
+        match record {
+            Ok(record) => restore_job(app, record),
+            Err(error) => tracing::error!(%error, "a job is lost; its edit is not"),
+        }
+    }
+    unbaked.iter().for_each(|scene| bake_again(app, scene));
+    for scene in app.scenes.all().iter().filter(|scene| !scene.is_damaged) {
+        let accepted = scene.head.blocking_lock().sequence;
+        app.settle(scene, accepted);
+    }
+    app.start_jobs();
+    tracing::info!(scenes, jobs, assets = saved.assets.len(), life = saved.life, "restored");
+}
+
+fn restore_asset(app: &App, disk: &Disk, id: &str) -> Result<(), StoreError> {
+    let glb = disk.asset(id)?;
+    let scene = engine::load(&glb, &app.config.limits)
+        .map_err(|error| StoreError::damaged("it cannot be read any more", error))?;
+    let full = |_| StoreError::damaged("there is no room for it any more", id);
+    app.assets.insert(id.to_owned(), scene, glb.len()).map(drop).map_err(full)
+}
+
+/// A scene, and whether its light is lost.
+fn restore_scene(app: &App, disk: &Disk, saved: SavedScene) -> (Arc<SceneEntry>, bool) {
+    match rebuild(app, disk, &saved) {
+        Ok((entry, is_unbaked)) => (Arc::new(entry), is_unbaked),
+        Err(error) => {
+            tracing::error!(scene = app.ids.scene(saved.number), %error, "a scene is damaged");
+            (Arc::new(damaged(app, &saved, &error)), false)
+        }
+    }
+}
+
+fn rebuild(app: &App, disk: &Disk, saved: &SavedScene) -> Result<(SceneEntry, bool), StoreError> {
+    let record = saved.record.clone()?;
+    let uploaded = build(app, &disk.upload(saved)?, &record)?;
+    // Whatever is wrong with the light can be baked again.
+    let light = disk.light(saved);
+    let replayed = replay(app, uploaded, &saved.edits, light.as_ref().ok().and_then(Option::as_ref))?;
+    let Replayed { world, sequence, .. } = &replayed;
+    let (world, sequence) = (world.clone(), *sequence);
+    let light = light.and_then(|light| light.map(|light| fits(&replayed, light)).transpose());
+    let mut keys = IdempotencyKeys::new(app.config.limits.idempotency_keys);
+    saved.keys.iter().cloned().for_each(|key| keys.insert(key));
+    let head = Head { world: world.clone(), sequence, jobs: saved.jobs, keys };
+
+    let (published, lighting, error) = match light {
+        Ok(Some((shown, light))) => {
+            let LightRecord { about, map, changed, .. } = light.clone();
+            let published = Published::restored(shown, record.mode, about, map, changed, saved.reserved);
+            (published, Lighting::restored(&light, replayed.unlit), None)
+        }
+        // Nothing was saved yet; versions may have been given all the same.
+        Ok(None) => (Published::lost(world, record.mode, saved.reserved), Lighting::baked_next(sequence), None),
+        Err(error) => {
+            tracing::error!(scene = app.ids.scene(saved.number), %error, "its light is lost: it is baked afresh");
+            let text = format!("the light map is lost and baked afresh: {}", error.reason);
+            (Published::lost(world, record.mode, saved.reserved), Lighting::baked_next(sequence), Some(text))
+        }
+    };
+    let reserved = published.version + RESERVE;
+    app.store.versions_reserved(saved.number, reserved)?;
+    let is_unbaked = error.is_some();
+    let new = describe(app, saved, record, reserved, error);
+    Ok((SceneEntry::with(new, head, lighting, published, &app.config.limits), is_unbaked))
+}
+
+fn build(app: &App, glb: &[u8], record: &SceneRecord) -> Result<World, StoreError> {
+    let unreadable =
+        |error: &dyn ToString| StoreError::damaged("the upload cannot be read any more", error.to_string());
+    let mut scene = engine::load(glb, &app.config.limits).map_err(|error| unreadable(&error))?;
+    if let Some(radiance) = record.environment {
+        engine::add_environment(&mut scene, Vec3::from_array(radiance));
+    }
+    engine::build(scene, Some(record.spacing), &app.config.limits).map_err(|error| unreadable(&error))
+}
+
+/// A scene after all of its edits.
+struct Replayed {
+    world: World,
+    sequence: Sequence,
+    /// The world that the saved light was published with.
+    shown: Option<World>,
+    /// Slots of the world that the saved light to start from is right for.
+    lit_slots: Option<usize>,
+    /// Edits that the saved light does not know.
+    unlit: Vec<Unlit>,
+}
+
+/// Applies all edits again. Only what `light` does not know is kept: every world has arrays of its own.
+fn replay(
+    app: &App,
+    uploaded: World,
+    edits: &[(Sequence, Vec<u8>)],
+    light: Option<&LightRecord>,
+) -> Result<Replayed, StoreError> {
+    let shown = light.map(|light| light.about.shown);
+    let lit = light.and_then(|light| light.lit.as_ref()).map(|(sequence, _)| *sequence);
+    let known = shown.map_or(Sequence::MAX, |shown| lit.map_or(shown, |lit| lit.min(shown)));
+    let mut replayed = Replayed { world: uploaded, sequence: 0, shown: None, lit_slots: None, unlit: Vec::new() };
+    replayed.note(shown, lit);
+    for (sequence, body) in edits {
+        let failed = |why: String| StoreError::damaged("an edit cannot be applied again", format!("{sequence}: {why}"));
+        if *sequence != replayed.sequence + 1 {
+            return Err(failed("an earlier one is missing".to_owned()));
+        }
+        let edits = read_edits(app, body).map_err(failed)?;
+        let transition = replayed.world.apply(&edits).map_err(|error| failed(error.to_string()))?;
+        replayed.world = transition.after.clone();
+        replayed.sequence = *sequence;
+        replayed.note(shown, lit);
+        if *sequence > known {
+            let transition = Arc::new(transition);
+            replayed.unlit.push(Unlit { sequence: *sequence, transition, edits: edits.into() });
+        }
+    }
+    Ok(replayed)
+}
+
+impl Replayed {
+    fn note(&mut self, shown: Option<Sequence>, lit: Option<Sequence>) {
+        if shown == Some(self.sequence) {
+            self.shown = Some(self.world.clone());
+        }
+        if lit == Some(self.sequence) {
+            self.lit_slots = Some(self.world.slots());
+        }
+    }
+}
+
+fn read_edits(app: &App, body: &[u8]) -> Result<Vec<Edit>, String> {
+    let parsed = edit_parse::parse(body, usize::MAX).map_err(|problem| problem.to_string())?;
+    edit_parse::to_edits(&parsed, &app.assets, usize::MAX).map_err(|problem| problem.to_string())
+}
+
+/// The light with the world it belongs to; an error where their slots differ.
+fn fits(replayed: &Replayed, light: LightRecord) -> Result<(World, LightRecord), StoreError> {
+    let differs = || StoreError::damaged("it does not fit the scene", "the slots differ");
+    let shown = replayed.shown.as_ref().ok_or_else(differs)?;
+    if light.map.len() != shown.slots() || light.about.layout != engine::layout_hash(shown) {
+        return Err(differs());
+    }
+    if light.lit.as_ref().is_some_and(|(_, lit)| replayed.lit_slots != Some(lit.len())) {
+        return Err(differs());
+    }
+    Ok((shown.clone(), light))
+}
+
+/// A scene that can only be looked at and deleted.
+fn damaged(app: &App, saved: &SavedScene, error: &StoreError) -> SceneEntry {
+    let record = saved.record.clone().unwrap_or_else(|_| SceneRecord {
+        name: "?".to_owned(),
+        mode: Mode::Full,
+        spacing: 1.0,
+        environment: None,
+        created_at: Timestamp::UNIX_EPOCH,
+    });
+    let mode = record.mode;
+    let world = engine::empty_world(record.spacing);
+    let head = Head { world: world.clone(), sequence: 0, jobs: 0, keys: IdempotencyKeys::new(1) };
+    let mut new = describe(app, saved, record, u64::MAX, Some(error.reason.to_owned()));
+    new.is_damaged = true;
+    SceneEntry::with(new, head, Lighting::new(), Published::lost(world, mode, saved.reserved), &app.config.limits)
+}
+
+fn describe(app: &App, saved: &SavedScene, record: SceneRecord, reserved: u64, error: Option<String>) -> NewScene {
+    NewScene {
+        number: saved.number,
+        id: app.ids.scene(saved.number),
+        name: record.name,
+        mode: record.mode,
+        created_at: record.created_at,
+        first_event: app.first_event,
+        reserved,
+        error,
+        is_damaged: false,
+    }
+}
+
+/// Puts a job back in line. One that was asked to stop, or whose scene is damaged, ends.
+fn restore_job(app: &App, mut record: JobRecord) {
+    let scene = app.scenes.get(record.job.scene);
+    let job = &mut record.job;
+    if !job.state.has_ended() {
+        let outcome = match &scene {
+            None => Some(Outcome::Canceled),
+            Some(scene) if scene.is_damaged => Some(Outcome::Failed("the scene is damaged".to_owned())),
+            Some(_) if job.cancel_requested => Some(Outcome::Canceled),
+            Some(_) => None,
+        };
+        if let Some(outcome) = outcome {
+            job.end(&outcome, Timestamp::now());
+            if let Err(error) = app.store.job_changed(&record) {
+                tracing::warn!(%error, "the end of a job could not be saved");
+            }
+        } else if job.state == JobState::Running {
+            job.started_at = None;
+        }
+    }
+    app.restore_job(scene, &record);
+}
+
+/// Queues a bake of a scene whose light is lost, unless a job waits that will do it.
+fn bake_again(app: &Arc<App>, scene: &Arc<SceneEntry>) {
+    if app.jobs.with_queue(|queue| queue.current(scene.number)).is_some() {
+        return;
+    }
+    let mut head = scene.head.blocking_lock();
+    let budget =
+        JobBudget { samples_per_element: app.config.defaults.bake_samples, max_seconds: None, target_rmse: None };
+    let mut jobs = head.jobs;
+    let seed = crate::api::next_seed(&mut jobs);
+    let sequence = head.sequence;
+    let spec = JobSpec { kind: JobKind::Bake, priority: Priority::Normal, budget, focus: None, seed, sequence };
+    let Ok(ticket) = app.ticket(scene.number) else { return };
+    let record = new_record(ticket.number, scene, &spec);
+    let accepted = crate::store::records::Accepted { scene: scene.number, edit: None, job: &record, key: None, jobs };
+    match app.store.accepted(&accepted) {
+        Ok(()) => {
+            head.jobs = jobs;
+            ticket.submit(scene, &record, || ());
+        }
+        Err(error) => tracing::error!(scene = scene.id, %error, "no bake could be queued"),
+    }
+}

@@ -1,0 +1,80 @@
+//! What of the light is kept, and when.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use crate::jobs::queue::JobNumber;
+use crate::state::App;
+use crate::store::StoreError;
+use crate::store::scenes::SceneEntry;
+use crate::store::versions::RESERVE;
+
+impl App {
+    /// Whether the scene may get one more version. Versions are reserved long before they are needed; where the disk
+    /// fails for so long that none is left, the light map stays at its last version.
+    pub(crate) fn may_publish(&self, scene: &SceneEntry) -> bool {
+        let (version, reserved) = (scene.published().version, scene.reserved.load(Ordering::Relaxed));
+        if !self.store.is_durable() || reserved - version > RESERVE / 10 {
+            return true;
+        }
+        match self.store.versions_reserved(scene.number, version + RESERVE) {
+            Ok(()) => {
+                scene.reserved.store(version + RESERVE, Ordering::Relaxed);
+                true
+            }
+            Err(error) => {
+                self.note_unsaved(scene, &error);
+                version < reserved
+            }
+        }
+    }
+
+    /// Saves the light of a scene in the background, unless that is under way already.
+    pub(crate) fn save_soon(self: &Arc<App>, scene: &Arc<SceneEntry>) {
+        if !self.store.is_durable() || scene.saving.swap(true, Ordering::AcqRel) {
+            return;
+        }
+        let (app, scene) = (self.clone(), scene.clone());
+        self.compute.spawn(move || {
+            let result = app.store.light_saved(scene.number, &scene.light_record());
+            scene.saving.store(false, Ordering::Release);
+            match result {
+                Ok(()) => scene.set_error(None),
+                Err(error) => app.note_unsaved(&scene, &error),
+            }
+        });
+    }
+
+    /// Saves all light at the end of the service, so that every version that was given can be resumed, and closes what is
+    /// kept.
+    pub(crate) fn save_all(&self) {
+        if !self.store.is_durable() {
+            return;
+        }
+        for scene in self.scenes.all().iter().filter(|scene| !scene.is_damaged) {
+            let light = scene.light_record();
+            let version = light.about.version;
+            let saved = self.store.light_saved(scene.number, &light);
+            if let Err(error) = saved.and_then(|()| self.store.versions_reserved(scene.number, version)) {
+                self.note_unsaved(scene, &error);
+            }
+        }
+        self.store.close();
+    }
+
+    pub(crate) fn forget_jobs(&self, jobs: Vec<JobNumber>) {
+        if jobs.is_empty() || !self.store.is_durable() {
+            return;
+        }
+        if let Err(error) = self.store.jobs_forgotten(&jobs) {
+            // The next start forgets them.
+            tracing::debug!(%error, "old jobs stay on the disk");
+        }
+    }
+
+    pub(crate) fn note_unsaved(&self, scene: &SceneEntry, error: &StoreError) {
+        tracing::error!(scene = scene.id, %error, "the light could not be saved");
+        self.metrics.unsaved.inc();
+        scene.set_error(Some(format!("the light map could not be saved: {}", error.reason)));
+    }
+}

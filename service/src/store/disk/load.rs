@@ -1,0 +1,180 @@
+//! Reading a data directory at the start.
+
+use std::collections::HashSet;
+use std::sync::Arc;
+
+use rusqlite::Connection;
+
+use super::blobs::BlobId;
+use super::{Disk, codec, open, schema};
+use crate::engine::LightMap;
+use crate::jobs::queue::{JobNumber, SceneNumber};
+use crate::store::StoreError;
+use crate::store::lighting::Sequence;
+use crate::store::records::{JobRecord, KeyRecord, LightRecord, LightState, SceneRecord};
+
+/// All that was kept, files aside.
+pub(crate) struct Saved {
+    /// Suffix of all ids.
+    pub(crate) suffix: String,
+    /// How often the directory was opened.
+    pub(crate) life: u64,
+    pub(crate) newest_scene: SceneNumber,
+    pub(crate) newest_job: JobNumber,
+    pub(crate) assets: Vec<String>,
+    pub(crate) scenes: Vec<SavedScene>,
+    /// In the order of arrival. An error: the record cannot be read.
+    pub(crate) jobs: Vec<Result<JobRecord, StoreError>>,
+}
+
+/// A scene as it was kept.
+pub(crate) struct SavedScene {
+    pub(crate) number: SceneNumber,
+    pub(crate) record: Result<SceneRecord, StoreError>,
+    pub(crate) jobs: u64,
+    pub(crate) reserved: u64,
+    pub(crate) edits: Vec<(Sequence, Vec<u8>)>,
+    /// The oldest first.
+    pub(crate) keys: Vec<KeyRecord>,
+    blob: BlobId,
+    light: Option<SavedLight>,
+}
+
+struct SavedLight {
+    about: String,
+    map: BlobId,
+    changed: BlobId,
+    lit: Option<(Sequence, BlobId)>,
+}
+
+impl Disk {
+    /// Begins a new life of the directory and reads what is there. `suffix`: of ids, where the directory is new.
+    pub(crate) fn load(&self, suffix: &str) -> Result<Saved, StoreError> {
+        let (life, suffix) = self.transact(|t| {
+            let life = schema::number(t, "life")? + 1;
+            schema::raise(t, "life", life)?;
+            Ok((life, schema::text(t, "suffix", suffix)?))
+        })?;
+        let connection = self.connection();
+        let connection = open(&connection)?;
+        self.sweep(connection)?;
+        Ok(Saved {
+            suffix,
+            life,
+            newest_scene: schema::number(connection, "newest_scene")?,
+            newest_job: schema::number(connection, "newest_job")?,
+            assets: column(connection, "SELECT id FROM assets")?,
+            scenes: scenes(connection)?,
+            jobs: jobs(connection)?,
+        })
+    }
+
+    /// The bytes of an asset.
+    pub(crate) fn asset(&self, id: &str) -> Result<Vec<u8>, StoreError> {
+        self.blobs.get(id)
+    }
+
+    /// The upload of a scene.
+    pub(crate) fn upload(&self, scene: &SavedScene) -> Result<Vec<u8>, StoreError> {
+        self.blobs.get(&scene.blob)
+    }
+
+    /// The light of a scene, where any was saved.
+    pub(crate) fn light(&self, scene: &SavedScene) -> Result<Option<LightRecord>, StoreError> {
+        let Some(light) = &scene.light else { return Ok(None) };
+        let about: LightState = from_json(&light.about)?;
+        let map = Arc::new(self.map(&light.map)?);
+        let changed = codec::decode_versions(&self.blobs.get(&light.changed)?, map.len());
+        let changed =
+            changed.ok_or_else(|| StoreError::damaged("a file of the data directory is no list", &light.changed))?;
+        let lit = match &light.lit {
+            Some((sequence, id)) if *id == light.map => Some((*sequence, map.clone())),
+            Some((sequence, id)) => Some((*sequence, Arc::new(self.map(id)?))),
+            None => None,
+        };
+        Ok(Some(LightRecord { about, map, changed: changed.into(), lit }))
+    }
+
+    fn map(&self, id: &str) -> Result<LightMap, StoreError> {
+        let bytes = self.blobs.get(id)?;
+        codec::decode_map(&bytes).ok_or_else(|| StoreError::damaged("a file of the data directory is no light map", id))
+    }
+
+    fn sweep(&self, connection: &Connection) -> Result<(), StoreError> {
+        let sql = "SELECT blob FROM scenes UNION SELECT id FROM assets UNION SELECT map FROM light
+            UNION SELECT changed FROM light UNION SELECT lit FROM light WHERE lit IS NOT NULL";
+        let referred: HashSet<BlobId> = column(connection, sql)?.into_iter().collect();
+        let removed = self.blobs.sweep(&referred)?;
+        if removed > 0 {
+            tracing::info!(removed, "files that nothing refers to");
+        }
+        Ok(())
+    }
+}
+
+fn column(connection: &Connection, sql: &str) -> Result<Vec<String>, StoreError> {
+    let mut select = connection.prepare(sql)?;
+    let rows = select.query_map([], |row| row.get(0))?;
+    Ok(rows.collect::<Result<_, _>>()?)
+}
+
+fn scenes(connection: &Connection) -> Result<Vec<SavedScene>, StoreError> {
+    let sql = "SELECT number, record, scenes.jobs, reserved, blob, about, map, changed, lit_sequence, lit
+        FROM scenes LEFT JOIN light ON light.scene = scenes.number ORDER BY number";
+    let mut select = connection.prepare(sql)?;
+    let rows = select.query_map([], |row| {
+        let record: String = row.get(1)?;
+        let light = match row.get::<_, Option<String>>(5)? {
+            None => None,
+            Some(about) => {
+                let sequence: Option<i64> = row.get(8)?;
+                let lit = sequence.map(|sequence| sequence as Sequence).zip(row.get(9)?);
+                Some(SavedLight { about, map: row.get(6)?, changed: row.get(7)?, lit })
+            }
+        };
+        Ok(SavedScene {
+            number: row.get::<_, i64>(0)? as SceneNumber,
+            record: from_json(&record),
+            jobs: row.get::<_, i64>(2)? as u64,
+            reserved: row.get::<_, i64>(3)? as u64,
+            edits: Vec::new(),
+            keys: Vec::new(),
+            blob: row.get(4)?,
+            light,
+        })
+    })?;
+    let mut scenes = rows.collect::<Result<Vec<_>, _>>()?;
+    for scene in &mut scenes {
+        scene.edits = edits(connection, scene.number)?;
+        scene.keys = keys(connection, scene.number)?;
+    }
+    Ok(scenes)
+}
+
+fn edits(connection: &Connection, scene: SceneNumber) -> Result<Vec<(Sequence, Vec<u8>)>, StoreError> {
+    let mut select =
+        connection.prepare_cached("SELECT sequence, body FROM edits WHERE scene = ?1 ORDER BY sequence")?;
+    let rows = select.query_map([scene as i64], |row| Ok((row.get::<_, i64>(0)? as Sequence, row.get(1)?)))?;
+    Ok(rows.collect::<Result<_, _>>()?)
+}
+
+fn keys(connection: &Connection, scene: SceneNumber) -> Result<Vec<KeyRecord>, StoreError> {
+    let sql = "SELECT key, body_hash, job, answer FROM keys WHERE scene = ?1 ORDER BY number";
+    let mut select = connection.prepare_cached(sql)?;
+    let rows = select.query_map([scene as i64], |row| {
+        let hash: String = row.get(1)?;
+        let (key, job, answer): (String, i64, String) = (row.get(0)?, row.get(2)?, row.get(3)?);
+        // A hash that cannot be read matches no body: the key is refused rather than used twice.
+        let body_hash = blake3::Hash::from_hex(hash).unwrap_or_else(|_| blake3::Hash::from_bytes([0; 32]));
+        Ok(KeyRecord { key, body_hash, job: job as JobNumber, answer: answer.into() })
+    })?;
+    Ok(rows.collect::<Result<_, _>>()?)
+}
+
+fn jobs(connection: &Connection) -> Result<Vec<Result<JobRecord, StoreError>>, StoreError> {
+    Ok(column(connection, "SELECT record FROM jobs ORDER BY number")?.iter().map(|json| from_json(json)).collect())
+}
+
+fn from_json<T: serde::de::DeserializeOwned>(json: &str) -> Result<T, StoreError> {
+    serde_json::from_str(json).map_err(|error| StoreError::damaged("a record of the database cannot be read", error))
+}

@@ -1,0 +1,82 @@
+//! A data directory: what is small in a database (SQLite), uploads and light maps as files beside it.
+//!
+//! A change is kept in two steps: its files, forced to the disk; then one transaction that refers to them. Whatever
+//! happens in between leaves files that nobody refers to, and the next start sweeps them.
+
+mod blobs;
+mod codec;
+mod load;
+mod schema;
+mod write;
+
+use std::fs::{File, TryLockError};
+use std::path::Path;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use rusqlite::{Connection, Transaction, TransactionBehavior};
+
+use super::StoreError;
+use super::faults::{Faults, WriteStep};
+use blobs::Blobs;
+pub(crate) use load::{Saved, SavedScene};
+
+/// An open data directory. One process at a time has it.
+#[derive(Debug)]
+pub(crate) struct Disk {
+    /// None once it is closed.
+    connection: Mutex<Option<Connection>>,
+    blobs: Blobs,
+    faults: Faults,
+    max_keys: usize,
+    lock: Mutex<Option<File>>,
+}
+
+impl Disk {
+    /// Opens a data directory, or makes one. `max_keys`: idempotency keys that are kept per scene.
+    pub(crate) fn open(directory: &Path, faults: Faults, max_keys: usize) -> Result<Disk, StoreError> {
+        std::fs::create_dir_all(directory)?;
+        let lock = File::options().create(true).truncate(false).write(true).open(directory.join("lock"))?;
+        match lock.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                let detail = "one process at a time may have it";
+                return Err(StoreError::damaged("another process uses the data directory", detail));
+            }
+            Err(TryLockError::Error(error)) => return Err(error.into()),
+        }
+        let blobs = Blobs::open(directory, faults.clone())?;
+        let mut connection = Connection::open(directory.join("rebake.db"))?;
+        schema::prepare(&mut connection)?;
+        Ok(Disk { connection: Mutex::new(Some(connection)), blobs, faults, max_keys, lock: Mutex::new(Some(lock)) })
+    }
+
+    /// Runs `change` as one transaction.
+    fn transact<T>(&self, change: impl FnOnce(&Transaction<'_>) -> Result<T, StoreError>) -> Result<T, StoreError> {
+        let mut connection = self.connection();
+        let connection = connection.as_mut().ok_or_else(closed)?;
+        self.faults.check(WriteStep::Begin)?;
+        let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
+        let result = change(&transaction)?;
+        self.faults.check(WriteStep::Commit)?;
+        transaction.commit()?;
+        Ok(result)
+    }
+
+    fn connection(&self) -> MutexGuard<'_, Option<Connection>> {
+        // A transaction of a thread that panicked was rolled back when it was dropped.
+        self.connection.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn open(connection: &Option<Connection>) -> Result<&Connection, StoreError> {
+    connection.as_ref().ok_or_else(closed)
+}
+
+fn closed() -> StoreError {
+    StoreError::damaged("the service is about to end", "the data directory is closed")
+}
+
+/// The JSON of a record.
+fn to_json(record: &impl serde::Serialize) -> Result<String, StoreError> {
+    serde_json::to_string(record).map_err(|error| StoreError::damaged("a record cannot be written", error))
+}

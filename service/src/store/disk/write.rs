@@ -1,0 +1,214 @@
+//! [`Store`] on a data directory.
+
+use std::sync::PoisonError;
+
+use rusqlite::{OptionalExtension, Transaction};
+
+use super::blobs::{BlobId, Pin};
+use super::{Disk, codec, open, schema, to_json};
+use crate::jobs::queue::{JobNumber, SceneNumber};
+use crate::store::records::{Accepted, JobRecord, KeyRecord, LightRecord, SceneRecord};
+use crate::store::versions::FIRST_RESERVE;
+use crate::store::{Store, StoreError};
+
+impl Store for Disk {
+    fn is_durable(&self) -> bool {
+        true
+    }
+
+    fn close(&self) {
+        self.connection().take();
+        self.lock.lock().unwrap_or_else(PoisonError::into_inner).take();
+    }
+
+    fn scene_created(
+        &self,
+        number: SceneNumber,
+        scene: &SceneRecord,
+        glb: &[u8],
+        bake: Option<&JobRecord>,
+    ) -> Result<(), StoreError> {
+        let pin = self.blobs.put(glb)?;
+        let record = to_json(scene)?;
+        self.transact(|t| {
+            let sql = "INSERT INTO scenes (number, record, blob, jobs, reserved) VALUES (?1, ?2, ?3, ?4, ?5)";
+            let jobs = i64::from(bake.is_some());
+            t.execute(sql, (number as i64, record, &pin.id, jobs, FIRST_RESERVE as i64))?;
+            schema::raise(t, "newest_scene", number)?;
+            bake.map_or(Ok(()), |job| put_job(t, job))
+        })
+    }
+
+    fn scene_deleted(&self, number: SceneNumber) -> Result<(), StoreError> {
+        let number = number as i64;
+        let files = self.transact(|t| {
+            let mut files = light_files(t, number)?;
+            let sql = "SELECT blob FROM scenes WHERE number = ?1";
+            files.extend(t.query_row(sql, [number], |row| row.get::<_, BlobId>(0)).optional()?);
+            // Jobs that are open end with their scene.
+            let sql = "UPDATE jobs SET is_open = 0, record = json_set(record, '$.job.state', 'Canceled',
+                '$.job.finished_at', ?2) WHERE scene = ?1 AND is_open";
+            t.execute(sql, (number, jiff::Timestamp::now().to_string()))?;
+            t.execute("DELETE FROM scenes WHERE number = ?1", [number])?;
+            Ok(files)
+        })?;
+        self.collect(&files);
+        Ok(())
+    }
+
+    fn asset_added(&self, id: &str, glb: &[u8]) -> Result<(), StoreError> {
+        let pin = self.blobs.put(glb)?;
+        if pin.id != id {
+            return Err(StoreError::damaged("an asset has another hash than its bytes", id));
+        }
+        self.transact(|t| {
+            t.execute("INSERT OR IGNORE INTO assets (id) VALUES (?1)", [id])?;
+            Ok(())
+        })
+    }
+
+    fn accepted(&self, request: &Accepted<'_>) -> Result<(), StoreError> {
+        let scene = request.scene as i64;
+        self.transact(|t| {
+            if let Some(edit) = &request.edit {
+                let sql = "INSERT INTO edits (scene, sequence, body) VALUES (?1, ?2, ?3)";
+                t.execute(sql, (scene, edit.sequence as i64, edit.body))?;
+            }
+            t.execute("UPDATE scenes SET jobs = ?2 WHERE number = ?1", (scene, request.jobs as i64))?;
+            if let Some(key) = request.key {
+                put_key(t, scene, key, self.max_keys)?;
+            }
+            put_job(t, request.job)
+        })
+    }
+
+    fn job_changed(&self, job: &JobRecord) -> Result<(), StoreError> {
+        self.transact(|t| put_job(t, job))
+    }
+
+    fn job_ended(&self, job: &JobRecord, light: Option<&LightRecord>) -> Result<(), StoreError> {
+        self.save(job.job.scene, light, |t| put_job(t, job))
+    }
+
+    fn jobs_forgotten(&self, jobs: &[JobNumber]) -> Result<(), StoreError> {
+        self.transact(|t| {
+            let mut delete = t.prepare_cached("DELETE FROM jobs WHERE number = ?1 AND NOT is_open")?;
+            for number in jobs {
+                delete.execute([*number as i64])?;
+            }
+            Ok(())
+        })
+    }
+
+    fn light_saved(&self, scene: SceneNumber, light: &LightRecord) -> Result<(), StoreError> {
+        self.save(scene, Some(light), |_| Ok(()))
+    }
+
+    fn versions_reserved(&self, scene: SceneNumber, version: u64) -> Result<(), StoreError> {
+        self.transact(|t| {
+            let sql = "UPDATE scenes SET reserved = ?2 WHERE number = ?1";
+            t.execute(sql, (scene as i64, version as i64))?;
+            Ok(())
+        })
+    }
+}
+
+impl Disk {
+    /// Files first, then the row that refers to them and whatever else `also` keeps.
+    fn save(
+        &self,
+        scene: SceneNumber,
+        light: Option<&LightRecord>,
+        also: impl FnOnce(&Transaction<'_>) -> Result<(), StoreError>,
+    ) -> Result<(), StoreError> {
+        let files = light.map(|light| self.light_pins(light)).transpose()?;
+        let old = self.transact(|t| {
+            let mut old = Vec::new();
+            if let (Some(light), Some(files)) = (light, &files) {
+                old = light_files(t, scene as i64)?;
+                put_light(t, scene as i64, light, files)?;
+            }
+            also(t)?;
+            Ok(old)
+        })?;
+        self.collect(&old);
+        Ok(())
+    }
+
+    fn light_pins(&self, light: &LightRecord) -> Result<LightPins<'_>, StoreError> {
+        let map = self.blobs.put(&codec::encode_map(&light.map))?;
+        let changed = self.blobs.put(&codec::encode_versions(&light.changed)?)?;
+        let lit = match &light.lit {
+            Some((_, lit)) if std::sync::Arc::ptr_eq(lit, &light.map) => Some(map.id.clone()),
+            Some((_, lit)) => return Ok(LightPins::new(map, changed, Some(self.blobs.put(&codec::encode_map(lit))?))),
+            None => None,
+        };
+        Ok(LightPins { lit_id: lit, map, changed, _lit: None })
+    }
+
+    /// Removes those of the files that nothing refers to any more.
+    fn collect(&self, files: &[BlobId]) {
+        for id in files {
+            self.blobs.collect(id, || {
+                let sql = "SELECT EXISTS (SELECT 1 FROM scenes WHERE blob = ?1)
+                    OR EXISTS (SELECT 1 FROM assets WHERE id = ?1)
+                    OR EXISTS (SELECT 1 FROM light WHERE map = ?1 OR changed = ?1 OR lit = ?1)";
+                let connection = self.connection();
+                Ok(open(&connection)?.query_row(sql, [id], |row| row.get(0))?)
+            });
+        }
+    }
+}
+
+/// The files of a scene's light, pinned until the database refers to them.
+struct LightPins<'a> {
+    map: Pin<'a>,
+    changed: Pin<'a>,
+    lit_id: Option<BlobId>,
+    _lit: Option<Pin<'a>>,
+}
+
+impl<'a> LightPins<'a> {
+    fn new(map: Pin<'a>, changed: Pin<'a>, lit: Option<Pin<'a>>) -> LightPins<'a> {
+        LightPins { map, changed, lit_id: lit.as_ref().map(|pin| pin.id.clone()), _lit: lit }
+    }
+}
+
+fn put_light(t: &Transaction<'_>, scene: i64, light: &LightRecord, files: &LightPins<'_>) -> Result<(), StoreError> {
+    let lit_sequence = light.lit.as_ref().map(|(sequence, _)| *sequence as i64);
+    // A scene that was deleted meanwhile keeps nothing.
+    let sql = "INSERT INTO light (scene, about, map, changed, lit_sequence, lit)
+        SELECT ?1, ?2, ?3, ?4, ?5, ?6 WHERE EXISTS (SELECT 1 FROM scenes WHERE number = ?1)
+        ON CONFLICT (scene) DO UPDATE SET about = excluded.about, map = excluded.map, changed = excluded.changed,
+            lit_sequence = excluded.lit_sequence, lit = excluded.lit";
+    let about = to_json(&light.about)?;
+    t.execute(sql, (scene, about, &files.map.id, &files.changed.id, lit_sequence, &files.lit_id))?;
+    Ok(())
+}
+
+fn light_files(t: &Transaction<'_>, scene: i64) -> Result<Vec<BlobId>, StoreError> {
+    let sql = "SELECT map, changed, lit FROM light WHERE scene = ?1";
+    let files = |row: &rusqlite::Row<'_>| -> rusqlite::Result<[Option<BlobId>; 3]> {
+        Ok([row.get(0)?, row.get(1)?, row.get(2)?])
+    };
+    Ok(t.query_row(sql, [scene], files).optional()?.into_iter().flatten().flatten().collect())
+}
+
+fn put_job(t: &Transaction<'_>, job: &JobRecord) -> Result<(), StoreError> {
+    let sql = "INSERT INTO jobs (number, scene, is_open, record) VALUES (?1, ?2, ?3, ?4)
+        ON CONFLICT (number) DO UPDATE SET is_open = excluded.is_open, record = excluded.record WHERE is_open";
+    // What has ended stays so: its end is kept before the queue knows of it, and a request to stop may come between.
+    let is_open = !job.job.state.has_ended();
+    t.execute(sql, (job.job.number as i64, job.job.scene as i64, is_open, to_json(job)?))?;
+    schema::raise(t, "newest_job", job.job.number)
+}
+
+fn put_key(t: &Transaction<'_>, scene: i64, key: &KeyRecord, max_keys: usize) -> Result<(), StoreError> {
+    let sql = "INSERT OR REPLACE INTO keys (scene, key, body_hash, job, answer) VALUES (?1, ?2, ?3, ?4, ?5)";
+    let hash = key.body_hash.to_hex();
+    t.execute(sql, (scene, &key.key, hash.as_str(), key.job as i64, &*key.answer))?;
+    let sql = "DELETE FROM keys WHERE scene = ?1 AND number <=
+        (SELECT number FROM keys WHERE scene = ?1 ORDER BY number DESC LIMIT 1 OFFSET ?2)";
+    t.execute(sql, (scene, max_keys as i64))?;
+    Ok(())
+}

@@ -1,0 +1,119 @@
+//! What has to survive a restart, as plain data.
+
+use std::sync::Arc;
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+
+use super::lighting::Sequence;
+use super::versions::{Lineage, Mode};
+use crate::engine::{Focus, LightMap};
+use crate::jobs::observer::JobBudget;
+use crate::jobs::queue::{Job, JobNumber, SceneNumber};
+
+/// How a scene was uploaded.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct SceneRecord {
+    pub(crate) name: String,
+    pub(crate) mode: Mode,
+    /// The spacing in force, also where the client left it open.
+    pub(crate) spacing: f32,
+    pub(crate) environment: Option<[f32; 3]>,
+    pub(crate) created_at: Timestamp,
+}
+
+/// A job with all that is needed to run it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct JobRecord {
+    pub(crate) job: Job,
+    pub(crate) budget: JobBudget,
+    pub(crate) focus: Option<StoredFocus>,
+    pub(crate) seed: u64,
+    pub(crate) sequence: Sequence,
+}
+
+/// What a client looks at.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) enum StoredFocus {
+    Camera { eye: [f64; 3], target: [f64; 3], up: [f64; 3], fov_y: f32, aspect: f32 },
+    Sphere { point: [f64; 3], radius: f32 },
+}
+
+impl From<Focus> for StoredFocus {
+    fn from(focus: Focus) -> StoredFocus {
+        match focus {
+            Focus::Camera { eye, target, up, fov_y, aspect } => {
+                let (eye, target, up) = (eye.to_array(), target.to_array(), up.to_array());
+                StoredFocus::Camera { eye, target, up, fov_y, aspect }
+            }
+            Focus::Sphere { point, radius } => StoredFocus::Sphere { point: point.to_array(), radius },
+        }
+    }
+}
+
+impl From<StoredFocus> for Focus {
+    fn from(focus: StoredFocus) -> Focus {
+        match focus {
+            StoredFocus::Camera { eye, target, up, fov_y, aspect } => {
+                Focus::Camera { eye: eye.into(), target: target.into(), up: up.into(), fov_y, aspect }
+            }
+            StoredFocus::Sphere { point, radius } => Focus::Sphere { point: point.into(), radius },
+        }
+    }
+}
+
+/// An accepted edit request.
+#[derive(Clone, Debug)]
+pub(crate) struct EditRecord<'a> {
+    /// Place among the scene's accepted requests, from 1.
+    pub(crate) sequence: Sequence,
+    pub(crate) body: &'a [u8],
+}
+
+/// An idempotency key with what was answered.
+#[derive(Clone, Debug)]
+pub(crate) struct KeyRecord {
+    pub(crate) key: String,
+    pub(crate) body_hash: blake3::Hash,
+    pub(crate) job: JobNumber,
+    pub(crate) answer: Arc<str>,
+}
+
+/// All that one accepted request changes, kept as a unit.
+#[derive(Clone, Debug)]
+pub(crate) struct Accepted<'a> {
+    pub(crate) scene: SceneNumber,
+    /// None where the request holds no edit.
+    pub(crate) edit: Option<EditRecord<'a>>,
+    pub(crate) job: &'a JobRecord,
+    pub(crate) key: Option<&'a KeyRecord>,
+    /// Jobs of the scene so far: seeds derive from it.
+    pub(crate) jobs: u64,
+}
+
+/// The light of a scene, of one moment.
+#[derive(Clone)]
+pub(crate) struct LightRecord {
+    pub(crate) about: LightState,
+    /// As published.
+    pub(crate) map: Arc<LightMap>,
+    /// Per slot: the version that last changed it.
+    pub(crate) changed: Arc<[u64]>,
+    /// What the next job starts from, and what it is right for.
+    pub(crate) lit: Option<(Sequence, Arc<LightMap>)>,
+}
+
+/// What is kept beside the maps.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct LightState {
+    pub(crate) version: u64,
+    pub(crate) elements_version: u64,
+    /// The sequence number of the published world.
+    pub(crate) shown: Sequence,
+    /// What the published light is right for, where it is more than carried over.
+    pub(crate) right_for: Option<Sequence>,
+    pub(crate) estimated_rmse: Option<f32>,
+    pub(crate) lineage: Lineage,
+    /// Hash of the published world's elements.
+    pub(crate) layout: String,
+}

@@ -1,0 +1,176 @@
+//! The page in a real browser: `viewer/test/browser.mjs` drives it, this starts and restarts the service under it.
+//!
+//! Needs Node and Chromium (`viewer/test/setup.sh` gets both the packages and the browser); skipped, with a message,
+//! where they are not there. Screenshots are left in `viewer/screenshots`.
+
+use std::io::{BufRead, BufReader, Write};
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use glam::{DMat3, DMat4, DVec3, Vec3};
+use rebake::Config;
+use rebake_core::export::write_scene_glb;
+use rebake_core::scene::{Camera, Material, Mesh, Object, Scene};
+use tokio::net::TcpListener;
+use tokio::sync::{mpsc, oneshot};
+use tokio::task::JoinHandle;
+
+use super::server::{Server, patiently};
+
+/// Between two lines of the script: longer than it waits itself.
+const LINE_PATIENCE: Duration = Duration::from_secs(150);
+
+#[tokio::test]
+async fn something_stands_at_the_root() {
+    let server = Server::start().await;
+    let page = server.get("/").await;
+    assert_eq!(page.status, 200);
+    assert!(page.header("content-type").starts_with("text/html"));
+    assert!(page.header("content-security-policy").contains("default-src 'none'"));
+    let text = String::from_utf8(page.body).unwrap();
+    let expected = if rebake::viewer::is_embedded() { "viewer.js" } else { "--features viewer" };
+    assert!(text.contains(expected), "{text}");
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn the_page_edits_a_room_in_a_browser() {
+    let viewer = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../viewer"));
+    let (chromium, page) = match prepare(viewer) {
+        Ok(ready) => ready,
+        Err(why) => {
+            eprintln!("skipped: the browser test needs viewer/test/setup.sh to have been run: {why}");
+            return;
+        }
+    };
+    let room = std::env::temp_dir().join(format!("rebake-browser-{}.glb", std::process::id()));
+    std::fs::write(&room, write_scene_glb(&furnished_room()).unwrap()).unwrap();
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    let mut service = Some(Service::start(listener));
+    let mut script = Script::start(viewer, &chromium, &page, address, &room);
+    let mut said = Vec::new();
+    while let Some(line) = script.line().await {
+        match line.as_str() {
+            "stop" => {
+                service.take().unwrap().stop().await;
+                script.answer();
+            }
+            "start" => {
+                service = Some(Service::start(TcpListener::bind(address).await.unwrap()));
+                script.answer();
+            }
+            _ => said.push(line),
+        }
+    }
+    let ended = script.child.wait().unwrap();
+    service.unwrap().stop().await;
+    std::fs::remove_file(&room).unwrap();
+    assert!(ended.success() && said.last().is_some_and(|line| line == "done"), "{}", said.join("\n"));
+}
+
+/// 4 × 3 × 4 m with a cupboard, a lamp under the ceiling, and a camera that looks down on the cupboard.
+fn furnished_room() -> Scene {
+    let object = |name: &str, mesh: Mesh, albedo: [f32; 3]| Object::new(name, mesh, Material::diffuse(albedo.into()));
+    let (low, high) = (Vec3::new(1.0, 0.02, 0.8), Vec3::new(2.0, 1.0, 1.4));
+    let lamp = Mesh::quad(Vec3::new(1.5, 2.95, 1.5), Vec3::X, Vec3::Z);
+    let mut scene = Scene::from_objects(vec![
+        object("room", Mesh::cuboid(Vec3::ZERO, Vec3::new(4.0, 3.0, 4.0)).inside_out(), [0.7, 0.6, 0.5]),
+        object("cupboard", Mesh::cuboid(low, high), [0.2, 0.4, 0.6]),
+        Object::new("lamp", lamp, Material::emissive(Vec3::new(8.0, 7.0, 6.0))),
+    ]);
+    let eye = DVec3::new(3.4, 2.2, 3.6);
+    let backward = (eye - DVec3::new(1.5, 0.3, 1.2)).normalize();
+    let right = DVec3::Y.cross(backward).normalize();
+    let rotation = DMat3::from_cols(right, backward.cross(right), backward);
+    let world_from_camera = DMat4::from_mat3_translation(rotation, eye);
+    scene.cameras.push(Camera { name: "view".to_owned(), world_from_camera, fov_y: 1.0 });
+    scene
+}
+
+/// The browser and the directory of the built page.
+fn prepare(viewer: &Path) -> Result<(PathBuf, PathBuf), String> {
+    let found = |name: &str| {
+        let paths = std::env::var_os("PATH").unwrap_or_default();
+        std::env::split_paths(&paths).map(|dir| dir.join(name)).find(|path| path.is_file())
+    };
+    let given = std::env::var_os("CHROMIUM").map(PathBuf::from);
+    let chromium = given.or_else(|| found("chromium")).ok_or("there is no chromium")?;
+    let npm = found("npm").ok_or("there is no npm")?;
+    if !viewer.join("node_modules/playwright-core").is_dir() {
+        return Err("the page's packages are not installed".to_owned());
+    }
+    // A broken page is a failure, not a reason to skip.
+    let built = Command::new(npm).args(["run", "build"]).current_dir(viewer).output().unwrap();
+    assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stdout));
+    Ok((chromium, viewer.join("dist")))
+}
+
+/// A service that can be started anew at the same address.
+struct Service {
+    stop: oneshot::Sender<()>,
+    ended: JoinHandle<std::io::Result<()>>,
+}
+
+impl Service {
+    fn start(listener: TcpListener) -> Service {
+        let mut config = Config { threads: 2, ..Config::default() };
+        (config.defaults.bake_samples, config.defaults.edit_samples) = (32, 32);
+        // Streams of a page that stays open would hold up the end.
+        config.timeouts.shutdown = Duration::from_secs(2);
+        let (stop, stopped) = oneshot::channel::<()>();
+        let shutdown = async move {
+            let _ = stopped.await;
+        };
+        Service { stop, ended: tokio::spawn(rebake::run(listener, config, shutdown)) }
+    }
+
+    async fn stop(self) {
+        let _ = self.stop.send(());
+        patiently(self.ended).await.unwrap().unwrap();
+    }
+}
+
+/// The running script.
+struct Script {
+    child: Child,
+    lines: mpsc::UnboundedReceiver<String>,
+}
+
+impl Script {
+    fn start(viewer: &Path, chromium: &Path, page: &Path, address: SocketAddr, room: &Path) -> Script {
+        let mut child = Command::new("node")
+            .arg("test/browser.mjs")
+            .arg(format!("http://{address}"))
+            .args([room, Path::new("cupboard"), Path::new("screenshots")])
+            .current_dir(viewer)
+            .env("CHROMIUM", chromium)
+            .env("PAGE_DIR", page)
+            .env("CAN_RESTART", "1")
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let output = BufReader::new(child.stdout.take().unwrap());
+        let (send, lines) = mpsc::unbounded_channel();
+        std::thread::spawn(move || output.lines().map_while(Result::ok).try_for_each(|line| send.send(line)));
+        Script { child, lines }
+    }
+
+    async fn line(&mut self) -> Option<String> {
+        tokio::time::timeout(LINE_PATIENCE, self.lines.recv()).await.expect("the script is silent")
+    }
+
+    fn answer(&mut self) {
+        self.child.stdin.as_mut().unwrap().write_all(b"done\n").unwrap();
+    }
+}
+
+impl Drop for Script {
+    fn drop(&mut self) {
+        // Where the test failed half-way; it has ended by itself otherwise.
+        let _ = self.child.kill();
+    }
+}

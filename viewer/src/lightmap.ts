@@ -1,0 +1,153 @@
+// The light map on the page's side: what is current, what it was before the edit, what is shown.
+
+import { DynamicDrawUsage, BufferAttribute } from 'three';
+import { apply, reach, type Frame } from './frames';
+import type { SceneObject } from './types';
+
+/** Marks elements that were not there before the edit. Estimated light may be a little below 0, never this far. */
+const NEW = -1e30;
+
+/** Elements of one object as vertex attributes; they look into the map's own arrays. */
+interface Window {
+  first: number;
+  count: number;
+  light: BufferAttribute;
+  base: BufferAttribute;
+}
+
+export class LightMap {
+  /** Direct + indirect (or what the scene's mode says) per element, RGB. */
+  current = new Float32Array();
+  /** The same, before the last edit. */
+  base = new Float32Array();
+  /** What the attributes show: `current`, or one layer of it. */
+  private shown = new Float32Array();
+  private windows: Window[] = [];
+  private followsCurrent = true;
+
+  get elements(): number {
+    return this.current.length / 3;
+  }
+
+  clear(): void {
+    this.current = new Float32Array();
+    this.base = new Float32Array();
+    this.shown = new Float32Array();
+    this.windows = [];
+  }
+
+  /** Room for so many elements. Attributes made before look into the old arrays: answers whether that happened. */
+  grow(elements: number): boolean {
+    if (elements <= this.elements) return false;
+    const larger = (old: Float32Array, fill: number) => {
+      const array = new Float32Array(3 * elements).fill(fill, old.length);
+      array.set(old);
+      return array;
+    };
+    this.current = larger(this.current, 0);
+    this.base = larger(this.base, NEW);
+    this.shown = larger(this.shown, 0);
+    return true;
+  }
+
+  /** Applies a whole snapshot; answers whether attributes have to be made anew. */
+  snapshot(frames: Frame[]): boolean {
+    const grown = this.grow(Math.max(0, ...frames.map(reach)));
+    for (const frame of frames) {
+      const ranges = apply(frame, this.current);
+      if (!this.followsCurrent || grown) continue;
+      for (const [first, count] of ranges) {
+        this.shown.set(this.current.subarray(3 * first, 3 * (first + count)), 3 * first);
+        this.touch(first, count);
+      }
+    }
+    if (grown && this.followsCurrent) this.shown.set(this.current);
+    return grown;
+  }
+
+  /** An edit is about to change the light. */
+  remember(): void {
+    this.base.set(this.current);
+    this.touchBase();
+  }
+
+  /** Elements that now belong to something else have no past. */
+  forget(first: number, count: number): void {
+    this.base.fill(NEW, 3 * first, 3 * (first + count));
+    this.touchBase();
+  }
+
+  /** Shows the map itself again. */
+  showCurrent(): void {
+    this.followsCurrent = true;
+    this.shown.set(this.current);
+    this.touch(0, this.elements);
+  }
+
+  /** Shows one layer. */
+  showLayer(frames: Frame[]): void {
+    this.followsCurrent = false;
+    for (const frame of frames) if (reach(frame) <= this.elements) apply(frame, this.shown);
+    this.touch(0, this.elements);
+  }
+
+  /** Attributes for an object's vertices. */
+  attributes({ elements: { first, count } }: SceneObject): { light: BufferAttribute; base: BufferAttribute } {
+    const window = (array: Float32Array) => {
+      const attribute = new BufferAttribute(array.subarray(3 * first, 3 * (first + count)), 3);
+      attribute.setUsage(DynamicDrawUsage);
+      return attribute;
+    };
+    const pair = { light: window(this.shown), base: window(this.base) };
+    this.windows.push({ first, count, ...pair });
+    return pair;
+  }
+
+  /** No attributes are in use any more. */
+  release(): void {
+    this.windows = [];
+  }
+
+  /** The mean of an object's light, RGB mean: for tests and the console. */
+  mean({ elements: { first, count } }: SceneObject): number {
+    let sum = 0;
+    for (let i = 3 * first; i < 3 * (first + count); i++) sum += this.current[i]!;
+    return sum / (3 * count);
+  }
+
+  /** The size that few changes pass: for the colour scale. */
+  changeScale(): number {
+    const sizes: number[] = [];
+    const step = Math.max(1, Math.floor(this.elements / 20000));
+    for (let i = 0; i < this.elements; i += step) {
+      if (this.base[3 * i]! < 0.5 * NEW) continue;
+      let change = 0;
+      for (let k = 3 * i; k < 3 * i + 3; k++) change += this.current[k]! - this.base[k]!;
+      if (change !== 0) sizes.push(Math.abs(change / 3));
+    }
+    if (sizes.length === 0) return 1;
+    sizes.sort((a, b) => a - b);
+    const wanted = sizes[Math.floor(sizes.length * 0.98)]!;
+    const decade = 10 ** Math.floor(Math.log10(wanted));
+    return [1, 2, 5, 10].map((step) => step * decade).find((size) => size >= wanted * 0.999999) ?? wanted;
+  }
+
+  private touch(first: number, count: number): void {
+    for (const window of this.windows) {
+      const from = Math.max(first, window.first);
+      const to = Math.min(first + count, window.first + window.count);
+      if (from >= to) continue;
+      // Thousands of little uploads cost more than one that is too large.
+      if (window.light.updateRanges.length < 64) window.light.addUpdateRange(3 * (from - window.first), 3 * (to - from));
+      else {
+        window.light.clearUpdateRanges();
+        window.light.addUpdateRange(0, 3 * window.count);
+      }
+      window.light.needsUpdate = true;
+    }
+  }
+
+  private touchBase(): void {
+    for (const { base } of this.windows) base.needsUpdate = true;
+  }
+}

@@ -1,0 +1,458 @@
+// Wires it all together: one scene at a time, followed live.
+
+import { api, Refused } from './api';
+import { Editor } from './editor';
+import { FrameReader } from './frames';
+import { LightMap } from './lightmap';
+import { shared } from './material';
+import { $, details, list, make, work } from './panels';
+import { Plot } from './plot';
+import { Stage, type Picked } from './stage';
+import type { Job, Point, Rgb, Scene } from './types';
+import type { FromWorker } from './worker';
+
+const stage = new Stage($('canvas'));
+const map = new LightMap();
+const plot = new Plot($('plot'));
+const worker = new Worker(new URL('./worker.ts', import.meta.url), { type: 'module' });
+const editor = new Editor(() => scene!, () => stage.view(), {
+  before: () => {
+    map.remember();
+    before = new Set(scene?.objects.map((o) => o.name));
+  },
+  accepted: (job, label) => {
+    say(`${label}: accepted`);
+    told(job);
+  },
+  changed: buttons,
+});
+
+let scene: Scene | null = null;
+let picked: Picked | null = null;
+let view = 'full';
+let exposure = 0;
+let version = 0;
+let events: EventSource | null = null;
+let jobs: Job[] = [];
+/** Names of the objects before the last edit: the others have no light to compare with. */
+let before = new Set<string>();
+let shownMesh = '';
+const assets = new Map<string, string>();
+
+const say = (text: string) => ($('status').textContent = text);
+
+/** A message that stays until it no longer holds. */
+function banner(text: string | null, calm = false): void {
+  $('banner').hidden = text === null;
+  $('banner').classList.toggle('calm', calm);
+  $('banner').textContent = text ?? '';
+}
+
+let bannerTimer = 0;
+/** Runs something that may fail, and says how. */
+async function attempt(what: () => Promise<unknown>): Promise<void> {
+  try {
+    await what();
+  } catch (error) {
+    banner(error instanceof Error ? error.message : String(error));
+    clearTimeout(bannerTimer);
+    bannerTimer = window.setTimeout(() => banner(null), 8000);
+    if (scene && error instanceof Refused && error.status !== 404) await refresh().catch(() => {});
+  }
+}
+
+// ---- scenes
+
+async function listScenes(choose?: string): Promise<void> {
+  const scenes = await api.scenes();
+  const select = $<HTMLSelectElement>('scenes');
+  select.replaceChildren(...scenes.map((s) => make('option', { value: s.id }, s.name || s.id)));
+  if (scenes.length === 0) select.append(make('option', { value: '' }, 'none yet'));
+  const wanted = choose ?? location.hash.slice(1);
+  const found = scenes.find((s) => s.id === wanted) ?? scenes[0];
+  if (found) await open(found.id);
+  else leave();
+}
+
+function leave(): void {
+  worker.postMessage(null);
+  events?.close();
+  [scene, picked, jobs, shownMesh] = [null, null, [], ''];
+  map.clear();
+  stage.clear();
+  plot.clear();
+  editor.clear();
+  before.clear();
+  $('welcome').hidden = false;
+  say('Ready. Drop a .glb to begin.');
+  panels();
+}
+
+async function open(id: string): Promise<void> {
+  leave();
+  scene = await api.scene(id);
+  location.hash = id;
+  $<HTMLSelectElement>('scenes').value = id;
+  $('welcome').hidden = true;
+  version = 0;
+  await showMesh();
+  const cameras = $<HTMLSelectElement>('cameras');
+  const option = (value: string, text: string) => make('option', { value }, text);
+  cameras.replaceChildren(option('', 'overview'), ...scene.cameras.map((c) => option(String(c.index), c.name)));
+  cameras.value = scene.cameras.length ? '0' : '';
+  useCamera();
+  worker.postMessage({ url: api.deltas(id) });
+  jobs = await api.jobs(id);
+  listen(id);
+  panels();
+}
+
+/** Fetches the mesh where its elements changed since. */
+async function showMesh(): Promise<void> {
+  const key = JSON.stringify(scene!.objects.map((o) => [o.name, o.elements, o.bounds, o.transform]));
+  if (key === shownMesh) {
+    stage.look(scene!);
+    return;
+  }
+  const of = scene!.id;
+  const file = await api.mesh(of);
+  if (scene?.id !== of) return;
+  shownMesh = key;
+  await stage.show(file, scene, map);
+  if (before.size) for (const o of scene.objects) if (!before.has(o.name)) map.forget(o.elements.first, o.elements.count);
+  $('numbers').dataset['mesh'] = `${scene.elements.toLocaleString('en')} elements`;
+}
+
+/** The scene as it is now. */
+async function refresh(): Promise<void> {
+  if (!scene) return;
+  const id = scene.id;
+  const now = await api.scene(id);
+  if (scene?.id !== id) return;
+  scene = now;
+  const gone = picked && ![...now.objects, ...now.lights].some((x) => x.name === picked!.name);
+  if (gone) picked = null;
+  await showMesh();
+  stage.select(picked);
+  panels();
+}
+
+// ---- what the service tells
+
+function listen(id: string): void {
+  events = api.events(id);
+  const on = (name: string, heard: (data: any) => void) =>
+    events!.addEventListener(name, (event) => heard(JSON.parse((event as MessageEvent).data)));
+  on('job', told);
+  on('scene', (data) => {
+    if (data.what === 'deleted') void attempt(() => listScenes());
+    else void attempt(refresh);
+  });
+  on('snapshot', (data) => {
+    if (scene) scene.estimated_rmse = data.estimated_rmse;
+    if (scene && data.elements_version > scene.elements_version) void attempt(refresh);
+  });
+  on('reset', () => void attempt(async () => ((jobs = await api.jobs(id)), refresh())));
+}
+
+function told(job: Job): void {
+  const at = jobs.findIndex((j) => j.id === job.id);
+  // An answer to a request may come after an event that is newer than it.
+  const rank = { queued: 0, running: 1, succeeded: 2, failed: 2, canceled: 2 };
+  if (at < 0) jobs.unshift(job);
+  else if (rank[job.state] >= rank[jobs[at]!.state]) jobs[at] = job;
+  const { estimated_rmse, elapsed_ms } = job.progress;
+  if (estimated_rmse !== null) plot.add(job.id, elapsed_ms / 1000, estimated_rmse);
+  if (job.state === 'failed') banner(`The job failed: ${job.error}`);
+  if (scene && rank[job.state] === 2) scene.estimated_rmse = estimated_rmse ?? scene.estimated_rmse;
+  panelsOfWork();
+}
+
+let isLost = false;
+
+/** After a lost connection: what happened meanwhile. The light map's stream resumes by itself. */
+async function caughtUp(): Promise<void> {
+  if (!scene) return;
+  events?.close();
+  jobs = await api.jobs(scene.id);
+  listen(scene.id);
+  await refresh();
+}
+
+worker.onmessage = ({ data }: MessageEvent<FromWorker>) => {
+  switch (data.type) {
+    case 'snapshot': {
+      version = data.version;
+      const grown = map.snapshot(data.frames);
+      // The arrays were replaced: the mesh has to look into the new ones.
+      if (grown && scene) {
+        shownMesh = '';
+        void attempt(refresh);
+      }
+      const rate = data.elements > 10_000 ? `, decoded at ${Math.round(data.elements / data.ms / 1000)} M elements/s` : '';
+      $('numbers').dataset['stream'] = `version ${version}: ${data.elements.toLocaleString('en')} values${rate}`;
+      overlays();
+      stage.invalidate();
+      break;
+    }
+    case 'offline':
+      isLost = true;
+      banner('The connection is lost. Trying again…', true);
+      say('Not connected');
+      break;
+    case 'online':
+      if (isLost) void attempt(caughtUp);
+      isLost = false;
+      banner(null);
+      say('Connected');
+      break;
+    case 'gone':
+      say('This scene is gone');
+      banner('The service no longer has this scene: it was deleted, or the service was started anew. Upload it again.');
+      void listScenes().catch(() => {});
+  }
+};
+
+// ---- views
+
+let layerRequest = 0;
+let picture: AbortController | null = null;
+
+/** What the view needs beside the map: layers and the service's own pictures, fetched anew with every version. */
+function overlays(): void {
+  const isPicture = view === 'picture' || view === 'error';
+  const isLayer = view === 'direct' || view === 'indirect';
+  if (view === 'change') {
+    shared.scale.value = map.changeScale();
+    $('legend-low').textContent = `−${shared.scale.value.toPrecision(1)}`;
+    $('legend-high').textContent = `+${shared.scale.value.toPrecision(1)}`;
+  }
+  if (isLayer) void attempt(fetchLayer);
+  if (isPicture) void attempt(fetchPicture);
+}
+
+async function fetchLayer(): Promise<void> {
+  const request = ++layerRequest;
+  const file = await api.layer(scene!.id, view);
+  if (request !== layerRequest || (view !== 'direct' && view !== 'indirect')) return;
+  map.showLayer(new FrameReader().push(new Uint8Array(file)));
+  stage.invalidate();
+}
+
+async function fetchPicture(): Promise<void> {
+  picture?.abort();
+  const mine = (picture = new AbortController());
+  try {
+    const kind = view === 'error' ? 'error' : 'full';
+    const blob = await api.picture(scene!.id, kind, stage.view(), exposure, mine.signal);
+    if (picture !== mine) return;
+    const image = $<HTMLImageElement>('picture');
+    URL.revokeObjectURL(image.src);
+    image.src = URL.createObjectURL(blob);
+    image.hidden = false;
+  } catch (error) {
+    if (!mine.signal.aborted) throw error;
+  }
+}
+
+function setView(next: string): void {
+  view = next;
+  $<HTMLSelectElement>('view').value = view;
+  shared.mode.value = { map: 1, change: 2 }[view] ?? 0;
+  shared.emissive.value = view === 'indirect' ? 0 : 1;
+  layerRequest++;
+  picture?.abort();
+  $('picture').hidden = true;
+  $('legend').hidden = view !== 'change';
+  if (view !== 'direct' && view !== 'indirect') map.showCurrent();
+  if (scene) overlays();
+  stage.invalidate();
+}
+
+function setExposure(stops: number): void {
+  exposure = Math.max(-6, Math.min(6, stops));
+  stage.exposure = exposure;
+  $<HTMLInputElement>('exposure').value = String(exposure);
+  $('stops').textContent = exposure.toFixed(1);
+  if (view === 'picture' && scene) overlays();
+}
+
+function setSplit(on: boolean): void {
+  $<HTMLInputElement>('split').checked = stage.split = on;
+  $('split-line').hidden = !on;
+  stage.invalidate();
+}
+
+function useCamera(): void {
+  const camera = scene?.cameras[Number($<HTMLSelectElement>('cameras').value || -1)];
+  if (camera) stage.use(camera);
+  else stage.overview();
+}
+
+// ---- editing
+
+function choose(next: Picked | null): void {
+  picked = next;
+  stage.select(picked);
+  panels();
+}
+
+const object = () => scene?.objects.find((o) => picked?.kind === 'object' && o.name === picked.name);
+const light = () =>
+  scene?.lights.find((l) => (picked?.kind === 'light' ? l.name === picked.name : l.object === picked?.name));
+
+function remove(): void {
+  const [o, l] = [object(), light()];
+  if (o) void attempt(() => editor.remove(o, stage.group(o.name)!));
+  else if (l) void attempt(() => editor.removeLight(l));
+}
+
+let dragged: { from: ReturnType<typeof light>; next: [Rgb, number] | null; busy: boolean } | null = null;
+
+/** Sends the newest position of a slider, one request at a time: what is in between is skipped. */
+function relight(color: Rgb, intensity: number, done: boolean): void {
+  dragged ??= { from: structuredClone(light()), next: null, busy: false };
+  const drag = dragged;
+  drag.next = [color, intensity];
+  if (done) dragged = null;
+  if (drag.busy || !drag.from) return;
+  drag.busy = true;
+  void attempt(async () => {
+    try {
+      while (drag.next) {
+        const [c, i] = drag.next;
+        drag.next = null;
+        await editor.relight(drag.from!, c, i);
+      }
+    } finally {
+      drag.busy = false;
+    }
+  });
+}
+
+stage.onPick = choose;
+stage.onCamera = () => scene && (view === 'picture' || view === 'error') && overlays();
+stage.onMoved = (_, delta) => {
+  const [o, l] = [object(), light()];
+  if (o) void attempt(() => editor.move(o, delta));
+  else if (l?.position) {
+    const e = delta.elements;
+    const [x, y, z] = l.position;
+    void attempt(() => editor.moveLight(l, [x + e[12]!, y + e[13]!, z + e[14]!] as Point));
+  }
+};
+
+async function upload(file: File): Promise<void> {
+  say(`Uploading ${file.name}…`);
+  const created = await api.upload(file, file.name.replace(/\.glb$/i, ''));
+  if (created.warnings.length) banner(created.warnings.join('; '), true);
+  await listScenes(created.id);
+}
+
+async function addAsset(file: File): Promise<void> {
+  const name = file.name.replace(/\.glb$/i, '');
+  assets.set(name, await api.asset(file));
+  say(`${name} is in the library: click it to put it into the scene`);
+  panels();
+}
+
+// ---- the page
+
+function buttons(): void {
+  for (const [id, label] of [['undo', editor.canUndo], ['redo', editor.canRedo]] as const) {
+    $<HTMLButtonElement>(id).disabled = !label;
+    $(id).title = label ? `${id}: ${label}` : `nothing to ${id}`;
+  }
+}
+
+function panels(): void {
+  const chosen = (kind: string) => (picked?.kind === kind ? picked.name : null);
+  list('objects', scene?.objects.map((o) => o.name) ?? [], chosen('object'), (name) => choose({ kind: 'object', name }));
+  list('lights', scene?.lights.map((l) => l.name) ?? [], chosen('light'), (name) => choose({ kind: 'light', name }));
+  list('assets', [...assets.keys()], null, (name) => {
+    if (scene) void attempt(() => editor.insert(assets.get(name)!, name, stage.view().target));
+  });
+  details(scene, picked, {
+    remove,
+    relight,
+    frame: () => stage.frameSelected(),
+    paint: (albedo, done) => {
+      const o = object();
+      if (!o) return;
+      stage.paint(o.name, albedo);
+      if (done) void attempt(() => editor.paint(o, albedo));
+    },
+  });
+  $<HTMLButtonElement>('add-light').disabled = !scene;
+  panelsOfWork();
+}
+
+function panelsOfWork(): void {
+  work(jobs, scene?.estimated_rmse ?? null, (job) => void attempt(() => api.cancel(job.id)));
+}
+
+function keys(event: KeyboardEvent): void {
+  const target = event.target;
+  // Lists of choices take letters and digits themselves; sliders and boxes do not.
+  if (target instanceof HTMLSelectElement) return;
+  const control = event.ctrlKey || event.metaKey;
+  const views = [...$<HTMLSelectElement>('view').options].map((o) => o.value);
+  const key = event.key.toLowerCase();
+  if (control && key === 'z') void attempt(() => (event.shiftKey ? editor.redo() : editor.undo()));
+  else if (control && key === 'y') void attempt(() => editor.redo());
+  else if (control) return;
+  else if (key === 'delete') remove();
+  else if (key === 'escape') choose(null);
+  else if (key === 's') setSplit(!stage.split);
+  else if (key === 'f') stage.frameSelected();
+  else if (key === '[' || key === ']') setExposure(exposure + (key === '[' ? -0.5 : 0.5));
+  else if (views[Number(key) - 1]) setView(views[Number(key) - 1]!);
+  else return;
+  event.preventDefault();
+}
+
+const onFile = (id: string, take: (file: File) => Promise<void>) =>
+  $<HTMLInputElement>(id).addEventListener('change', ({ target }) => {
+    const input = target as HTMLInputElement;
+    const file = input.files?.[0];
+    input.value = '';
+    if (file) void attempt(() => take(file));
+  });
+onFile('file', upload);
+onFile('asset-file', addAsset);
+$('upload').addEventListener('click', () => $('file').click());
+$('add-asset').addEventListener('click', () => $('asset-file').click());
+$('add-light').addEventListener('click', () => {
+  const size = Math.max(...scene!.objects.flatMap((o) => o.bounds.max.map((x, k) => x - o.bounds.min[k]!)), 1);
+  const [x, y, z] = stage.view().target;
+  void attempt(async () => choose({ kind: 'light', name: await editor.addLight([x, y + size / 10, z], size * size) }));
+});
+$('undo').addEventListener('click', () => void attempt(() => editor.undo()));
+$('redo').addEventListener('click', () => void attempt(() => editor.redo()));
+$('scenes').addEventListener('change', ({ target }) => void attempt(() => open((target as HTMLSelectElement).value)));
+$('view').addEventListener('change', ({ target }) => setView((target as HTMLSelectElement).value));
+$('split').addEventListener('change', ({ target }) => setSplit((target as HTMLInputElement).checked));
+$('cameras').addEventListener('change', useCamera);
+$('exposure').addEventListener('input', ({ target }) => setExposure(Number((target as HTMLInputElement).value)));
+document.addEventListener('keydown', keys);
+document.addEventListener('dragover', (event) => {
+  event.preventDefault();
+  document.body.classList.add('dropping');
+});
+document.addEventListener('dragleave', (event) => event.relatedTarget ?? document.body.classList.remove('dropping'));
+document.addEventListener('drop', (event) => {
+  event.preventDefault();
+  document.body.classList.remove('dropping');
+  const file = event.dataTransfer?.files[0];
+  if (file) void attempt(() => upload(file));
+});
+setInterval(() => {
+  const { mesh, stream } = $('numbers').dataset;
+  $('numbers').textContent = [mesh, stream, `frame ${stage.frameMs.toFixed(1)} ms`].filter(Boolean).join(' · ');
+}, 500);
+// For the console and for tests.
+Object.assign(window, { rebake: { stage, map, api, state: () => ({ scene, version, jobs, exposure, view }) } });
+
+buttons();
+panels();
+void attempt(() => listScenes());

@@ -1,0 +1,94 @@
+// What travels as JSON: the parts of the API's description that the page uses.
+
+export type Rgb = [number, number, number];
+export type Point = [number, number, number];
+
+export interface SceneObject {
+  index: number;
+  name: string;
+  elements: { first: number; count: number };
+  with_back: boolean;
+  triangles: number;
+  bounds: { min: Point; max: Point };
+  albedo: Rgb;
+  /** Object space to world space, column-major. */
+  transform: number[];
+}
+
+export interface Light {
+  name: string;
+  kind: 'emissive' | 'point' | 'spot' | 'directional' | 'environment';
+  color: Rgb;
+  intensity: number;
+  object?: string;
+  position?: Point;
+  direction?: Point;
+}
+
+export interface Camera {
+  index: number;
+  name: string;
+  eye: Point;
+  target: Point;
+  up: Point;
+  fov_y: number;
+}
+
+export interface Scene {
+  id: string;
+  name: string;
+  mode: 'full' | 'indirect';
+  version: number;
+  elements_version: number;
+  elements: number;
+  estimated_rmse: number | null;
+  objects: SceneObject[];
+  lights: Light[];
+  cameras: Camera[];
+  warnings: string[];
+  current_job: string | null;
+}
+
+export interface SceneSummary {
+  id: string;
+  name: string;
+  elements: number;
+}
+
+export interface Job {
+  id: string;
+  scene: string;
+  kind: 'bake' | 'edit';
+  state: 'queued' | 'running' | 'succeeded' | 'failed' | 'canceled';
+  cancel_requested: boolean;
+  progress: {
+    fraction: number;
+    pass: string | null;
+    samples_per_element: number;
+    elapsed_ms: number;
+    estimated_rmse: number | null;
+    version: number | null;
+  };
+  error: string | null;
+}
+
+/** One edit, as `POST /edits` takes it. */
+export type Edit =
+  | { op: 'insert'; asset: string; name: string; transform: number[] }
+  | { op: 'remove'; objects: string[] }
+  | { op: 'move'; object: string; transform: number[] }
+  | { op: 'material'; object: string; albedo: Rgb }
+  | { op: 'relight'; lights: { light: string; color?: Rgb; intensity?: number }[] }
+  | { op: 'insert_light'; name: string; light: object }
+  | { op: 'remove_light'; light: string }
+  | { op: 'move_light'; light: string; position: Point };
+
+/** A camera, as `focus` and `/render` take it. */
+export interface View {
+  eye: Point;
+  target: Point;
+  up: Point;
+  fov_y: number;
+  width: number;
+  height: number;
+}

@@ -1,0 +1,232 @@
+// Drives the page in a real browser: uploads a room, edits it, and holds what is on the screen against what the
+// service's own pictures say. Started by `tests/api/browser.rs`; by hand, against a service with the page in it:
+//
+//   node viewer/test/browser.mjs http://127.0.0.1:7878 room.glb object viewer/screenshots
+//
+// CHROMIUM names the browser. PAGE_DIR serves the page's files from a directory instead of from the service.
+// Where standard input is connected, "restart" on standard output asks for a restart of the service, and a line back
+// says that it is done.
+
+import { mkdir, readFile, rm, mkdtemp } from 'node:fs/promises';
+import { tmpdir } from 'node:os';
+import { join } from 'node:path';
+import { createInterface } from 'node:readline';
+import { inflateSync } from 'node:zlib';
+import { chromium } from 'playwright-core';
+
+const [base, room, objectName, shots] = process.argv.slice(2);
+const FLAGS = [
+  '--headless', '--no-sandbox', '--disable-quic', '--no-first-run', '--disable-background-networking',
+  '--disable-component-update', '--disable-sync', '--use-gl=angle', '--use-angle=swiftshader',
+  '--enable-unsafe-swiftshader',
+];
+const PATIENCE = 60_000;
+const KINDS = { html: 'text/html', js: 'text/javascript', css: 'text/css' };
+
+function check(is, text) {
+  if (!is) throw new Error(text);
+  console.log(`ok: ${text}`);
+}
+
+/** 8-bit pixels of a PNG, as the browser and the service write them. */
+function decodePng(bytes) {
+  const [width, height, channels] = [bytes.readUInt32BE(16), bytes.readUInt32BE(20), bytes[25] === 6 ? 4 : 3];
+  const data = [];
+  for (let at = 8; at < bytes.length; at += bytes.readUInt32BE(at) + 12) {
+    if (bytes.toString('latin1', at + 4, at + 8) === 'IDAT') data.push(bytes.subarray(at + 8, at + 8 + bytes.readUInt32BE(at)));
+  }
+  const raw = inflateSync(Buffer.concat(data));
+  const stride = width * channels;
+  const rows = Buffer.alloc(stride * height);
+  for (let y = 0; y < height; y++) {
+    const filter = raw[y * (stride + 1)];
+    for (let x = 0; x < stride; x++) {
+      const left = x >= channels ? rows[y * stride + x - channels] : 0;
+      const up = y ? rows[(y - 1) * stride + x] : 0;
+      const corner = x >= channels && y ? rows[(y - 1) * stride + x - channels] : 0;
+      const p = left + up - corner;
+      const [a, b, c] = [Math.abs(p - left), Math.abs(p - up), Math.abs(p - corner)];
+      const paeth = a <= b && a <= c ? left : b <= c ? up : corner;
+      const predicted = [0, left, up, (left + up) >> 1, paeth][filter];
+      rows[y * stride + x] = raw[y * (stride + 1) + 1 + x] + predicted;
+    }
+  }
+  return { width, height, at: (x, y) => [...rows.subarray(y * stride + x * channels, y * stride + x * channels + 3)] };
+}
+
+/** Mean of the three channels over a square around a point given in parts of the picture. */
+function patch(picture, [u, v], half = 4) {
+  const [cx, cy] = [Math.round(u * picture.width), Math.round(v * picture.height)];
+  let [sum, count] = [0, 0];
+  for (let y = cy - half; y <= cy + half; y++) {
+    for (let x = cx - half; x <= cx + half; x++) {
+      sum += picture.at(x, y).reduce((a, b) => a + b) / 3;
+      count++;
+    }
+  }
+  return sum / count;
+}
+
+await mkdir(shots, { recursive: true });
+const profile = await mkdtemp(join(tmpdir(), 'rebake-browser-'));
+const context = await chromium.launchPersistentContext(profile, {
+  executablePath: process.env.CHROMIUM,
+  args: FLAGS,
+  viewport: { width: 1280, height: 720 },
+});
+const lines = createInterface({ input: process.stdin })[Symbol.asyncIterator]();
+try {
+  const page = await context.newPage();
+  page.setDefaultTimeout(PATIENCE);
+  const errors = [];
+  page.on('pageerror', (error) => errors.push(String(error)));
+  if (process.env.PAGE_DIR) {
+    await page.route(
+      (url) => url.href.startsWith(base) && !url.pathname.startsWith('/v1'),
+      async (route) => {
+        const name = new URL(route.request().url()).pathname.slice(1) || 'index.html';
+        const body = await readFile(join(process.env.PAGE_DIR, name));
+        await route.fulfill({ body, contentType: KINDS[name.split('.').at(-1)] });
+      },
+    );
+  }
+  const state = () => page.evaluate(() => window.rebake.state());
+  const shot = (name) => page.screenshot({ path: join(shots, `${name}.png`) });
+  const canvas = async () => decodePng(await page.locator('#stage').screenshot());
+  /** Until everything is lit and shown. */
+  const settled = async () => {
+    await page.waitForFunction(() => {
+      const { scene, version, jobs } = window.rebake.state();
+      const over = jobs.length > 0 && jobs.every((j) => !['queued', 'running'].includes(j.state));
+      const newest = Math.max(...jobs.map((j) => j.progress.version ?? 0));
+      return over && version >= newest && scene.elements_version <= version;
+    }, null, { timeout: PATIENCE, polling: 100 });
+    // Two frames: the last values are on the screen.
+    await page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))));
+  };
+  /** The service's own picture from the page's camera. */
+  const rendered = async () => {
+    const url = await page.evaluate((base) => {
+      const { stage, state } = window.rebake;
+      const { scene, exposure } = state();
+      const view = stage.view();
+      const query = new URLSearchParams({ ...view, eye: view.eye.join(), target: view.target.join(), up: view.up.join() });
+      return `${base}/v1/scenes/${scene.id}/render?${query}&exposure=${exposure}&spp=64`;
+    }, base);
+    const answer = await fetch(url);
+    if (!answer.ok) throw new Error(await answer.text());
+    return decodePng(Buffer.from(await answer.arrayBuffer()));
+  };
+  /** Where a world-space point is in the picture, in parts of it. */
+  const project = (point) => page.evaluate((p) => window.rebake.stage.project(p), point);
+
+  const uploaded = async () => {
+    await page.setInputFiles('#file', room);
+    await page.waitForFunction(() => window.rebake.state().scene);
+    await settled();
+  };
+  await page.goto(base);
+  await page.waitForFunction(() => document.getElementById('status').textContent.startsWith('Ready'));
+  await shot('1-empty');
+  await uploaded();
+  await page.locator('#exposure').fill('-0.5');
+  const { scene } = await state();
+  check(scene.objects.some((o) => o.name === objectName), 'the room is there after the upload');
+  await shot('2-room');
+
+  // The page and the service agree on what the room looks like: the median over a grid of the pixels' difference.
+  const [seen, drawn] = [await canvas(), await rendered()];
+  const differences = [];
+  for (let v = 0.05; v < 1; v += 0.09) for (let u = 0.05; u < 1; u += 0.06) differences.push(Math.abs(patch(seen, [u, v], 2) - patch(drawn, [u, v], 2)));
+  differences.sort((a, b) => a - b);
+  check(differences[Math.floor(differences.length / 2)] < 4, `page and service show the same room (median ${differences[Math.floor(differences.length / 2)].toFixed(2)} of 255)`);
+
+  // Under the object: a point of the floor in the middle of its footprint.
+  const { bounds } = scene.objects.find((o) => o.name === objectName);
+  const floor = Math.min(...scene.objects.map((o) => o.bounds.min[1]));
+  const under = [(bounds.min[0] + bounds.max[0]) / 2, floor, (bounds.min[2] + bounds.max[2]) / 2];
+  await page.locator('#objects button', { hasText: new RegExp(`^${objectName}$`) }).click();
+  await shot('3-selected');
+  await page.locator('#canvas').focus();
+  await page.keyboard.press('Delete');
+  await page.waitForFunction((n) => !window.rebake.state().scene.objects.some((o) => o.name === n), objectName);
+  await settled();
+  await shot('4-removed');
+  const at = await project(under);
+  const [now, after] = [patch(await canvas(), at), patch(await rendered(), at)];
+  check(Math.abs(now - after) < 8, `under the removed object the page shows ${now.toFixed(1)}, the service ${after.toFixed(1)}`);
+  const was = patch(drawn, at);
+  check(Math.abs(now - patch(seen, at) - (after - was)) < 12, `and changed by ${(now - patch(seen, at)).toFixed(1)}, the service by ${(after - was).toFixed(1)}`);
+
+  await page.selectOption('#view', 'change');
+  await shot('5-change');
+  const red = (await canvas()).at(Math.round(at[0] * seen.width), Math.round(at[1] * seen.height));
+  check(red[0] > red[2] + 20, `where the object stood the change is shown as brighter (${red})`);
+  await page.selectOption('#view', 'error');
+  await page.locator('#picture').waitFor({ state: 'visible' });
+  await shot('6-error');
+  await page.selectOption('#view', 'indirect');
+  await page.locator('#picture').waitFor({ state: 'hidden' });
+  await shot('7-indirect');
+  await page.selectOption('#view', 'full');
+  await page.keyboard.press('Escape');
+  await page.locator('#split').check();
+  await shot('8-split');
+  await page.locator('#split').uncheck();
+
+  // Undo brings the object back, with its light.
+  await page.locator('#undo').click();
+  await page.waitForFunction((n) => window.rebake.state().scene.objects.some((o) => o.name === n), objectName);
+  await settled();
+  const back = await canvas();
+  check(Math.abs(patch(back, at) - patch(seen, at)) < 10, 'undo shows what was there before');
+  await shot('9-undone');
+
+  // A slider: the first light at half its intensity, and back.
+  const lightOf = async () => (await state()).scene.lights[0];
+  const light = await lightOf();
+  await page.locator('#lights button').first().click();
+  const bright = patch(await canvas(), [0.5, 0.85]);
+  const slider = page.getByLabel('Intensity');
+  await slider.fill(String((await slider.evaluate((s) => Math.round(s.max / 8 / s.step) * s.step))));
+  await slider.dispatchEvent('change');
+  await page.waitForFunction((i) => window.rebake.state().scene.lights[0].intensity < 0.7 * i, light.intensity);
+  await settled();
+  const dim = patch(await canvas(), [0.5, 0.85]);
+  check(dim < bright - 5, `a light at half is darker on the screen (${bright.toFixed(1)} to ${dim.toFixed(1)})`);
+  await shot('10-dimmed');
+  await page.keyboard.press('Control+z');
+  await page.waitForFunction((i) => window.rebake.state().scene.lights[0].intensity === i, light.intensity);
+  await settled();
+  check((await lightOf()).intensity === light.intensity, 'undo restores the light');
+
+  // What the service refuses is said in words.
+  await page.setInputFiles('#file', { name: 'no.glb', mimeType: 'model/gltf-binary', buffer: Buffer.from('nothing') });
+  await page.locator('#banner').waitFor({ state: 'visible' });
+  check((await page.locator('#banner').textContent()).includes('Malformed'), 'a refused upload is explained');
+
+  if (process.env.CAN_RESTART) {
+    console.log('stop');
+    await lines.next();
+    await page.waitForFunction(() => document.getElementById('banner').textContent.includes('connection is lost'));
+    await shot('11-offline');
+    console.log('start');
+    await lines.next();
+    // Scenes live in memory: after a restart this one is gone, and the page says so and goes on.
+    await page.waitForFunction(() => document.getElementById('banner').textContent.includes('no longer has this scene'));
+    await shot('12-restarted');
+    await uploaded();
+    check((await state()).scene.id !== scene.id, 'after a restart of the service the page works on');
+  }
+  check(errors.length === 0, `no error in the page ${errors.join('; ')}`);
+  console.log('done');
+} catch (error) {
+  const [page] = context.pages().slice(-1);
+  await page?.screenshot({ path: join(shots, 'failed.png') }).catch(() => {});
+  console.log(`failed: ${error.stack}`);
+  process.exitCode = 1;
+} finally {
+  await context.close();
+  await rm(profile, { recursive: true, force: true });
+  process.exit();
+}
