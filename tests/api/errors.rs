@@ -23,7 +23,6 @@ async fn paths_methods_and_calls_to_come() {
     let put = Answer::of(put).await;
     put.problem(405, "method-not-allowed");
     assert!(put.header("allow").contains("POST"), "{put:?}");
-    server.get(&format!("{}/render?camera=0", path_of(&scene))).await.problem(501, "not-implemented");
     assert_eq!(server.get("/healthz").await.json(200)["status"], "ok");
     assert_eq!(server.get("/readyz").await.json(200)["status"], "ok");
     let told = server.get("/problems/queue-full").await;
