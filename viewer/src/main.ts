@@ -448,7 +448,7 @@ document.addEventListener('drop', (event) => {
 });
 setInterval(() => {
   const { mesh, stream } = $('numbers').dataset;
-  $('numbers').textContent = [mesh, stream, `frame ${stage.frameMs.toFixed(1)} ms`].filter(Boolean).join(' · ');
+  $('numbers').textContent = [mesh, stream, stage.frameMs ? `frame ${stage.frameMs.toFixed(0)} ms` : ''].filter(Boolean).join(' · ');
 }, 500);
 // For the console and for tests.
 Object.assign(window, { rebake: { stage, map, api, state: () => ({ scene, version, jobs, exposure, view }) } });
