@@ -117,7 +117,7 @@ struct Service {
 impl Service {
     fn start(listener: TcpListener) -> Service {
         let mut config = Config { threads: 2, ..Config::default() };
-        (config.defaults.bake_samples, config.defaults.edit_samples) = (32, 32);
+        (config.defaults.bake_samples, config.defaults.edit_samples) = (32, 16);
         // Streams of a page that stays open would hold up the end.
         config.timeouts.shutdown = Duration::from_secs(2);
         let (stop, stopped) = oneshot::channel::<()>();

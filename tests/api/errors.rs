@@ -8,13 +8,12 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 
 use super::glb::{Glb, crate_asset, pack, room};
-use super::server::{Answer, Server, path_of, patiently};
+use super::server::{Answer, Server, patiently};
 
 #[tokio::test]
 async fn paths_methods_and_calls_to_come() {
     let server = Server::start().await;
-    let scene = server.room("?bake=false").await;
-    server.get("/").await.problem(404, "not-found");
+    server.get("/nothing").await.problem(404, "not-found");
     server.get("/v1/nothing").await.problem(404, "not-found");
     server.get("/v1/scenes/%FF").await.problem(400, "bad-request");
     server.get("/v1/scenes/s01-abcdef").await.problem(404, "unknown-scene");

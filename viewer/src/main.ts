@@ -1,10 +1,12 @@
 // Wires it all together: one scene at a time, followed live.
 
-import { api, Refused } from './api';
+import { api } from './api';
 import { Editor } from './editor';
+import { onDrop, onFile } from './files';
 import { FrameReader } from './frames';
 import { LightMap } from './lightmap';
 import { shared } from './material';
+import { attempting, banner, say } from './messages';
 import { $, details, list, make, work } from './panels';
 import { Plot } from './plot';
 import { Stage, type Picked } from './stage';
@@ -39,27 +41,8 @@ let before = new Set<string>();
 let shownMesh = '';
 const assets = new Map<string, string>();
 
-const say = (text: string) => ($('status').textContent = text);
-
-/** A message that stays until it no longer holds. */
-function banner(text: string | null, calm = false): void {
-  $('banner').hidden = text === null;
-  $('banner').classList.toggle('calm', calm);
-  $('banner').textContent = text ?? '';
-}
-
-let bannerTimer = 0;
-/** Runs something that may fail, and says how. */
-async function attempt(what: () => Promise<unknown>): Promise<void> {
-  try {
-    await what();
-  } catch (error) {
-    banner(error instanceof Error ? error.message : String(error));
-    clearTimeout(bannerTimer);
-    bannerTimer = window.setTimeout(() => banner(null), 8000);
-    if (scene && error instanceof Refused && error.status !== 404) await refresh().catch(() => {});
-  }
-}
+/** Runs something that may fail, and says how; what the service refused may rest on an old state of the scene. */
+const attempt = (what: () => Promise<unknown>) => attempting(what, async () => scene && refresh());
 
 // ---- scenes
 
@@ -411,15 +394,8 @@ function keys(event: KeyboardEvent): void {
   event.preventDefault();
 }
 
-const onFile = (id: string, take: (file: File) => Promise<void>) =>
-  $<HTMLInputElement>(id).addEventListener('change', ({ target }) => {
-    const input = target as HTMLInputElement;
-    const file = input.files?.[0];
-    input.value = '';
-    if (file) void attempt(() => take(file));
-  });
-onFile('file', upload);
-onFile('asset-file', addAsset);
+onFile('file', (file) => attempt(() => upload(file)));
+onFile('asset-file', (file) => attempt(() => addAsset(file)));
 $('upload').addEventListener('click', () => $('file').click());
 $('add-asset').addEventListener('click', () => $('asset-file').click());
 $('add-light').addEventListener('click', () => {
@@ -435,20 +411,10 @@ $('split').addEventListener('change', ({ target }) => setSplit((target as HTMLIn
 $('cameras').addEventListener('change', useCamera);
 $('exposure').addEventListener('input', ({ target }) => setExposure(Number((target as HTMLInputElement).value)));
 document.addEventListener('keydown', keys);
-document.addEventListener('dragover', (event) => {
-  event.preventDefault();
-  document.body.classList.add('dropping');
-});
-document.addEventListener('dragleave', (event) => event.relatedTarget ?? document.body.classList.remove('dropping'));
-document.addEventListener('drop', (event) => {
-  event.preventDefault();
-  document.body.classList.remove('dropping');
-  const file = event.dataTransfer?.files[0];
-  if (file) void attempt(() => upload(file));
-});
+onDrop((file) => attempt(() => upload(file)));
 setInterval(() => {
   const { mesh, stream } = $('numbers').dataset;
-  $('numbers').textContent = [mesh, stream, `frame ${stage.frameMs.toFixed(1)} ms`].filter(Boolean).join(' · ');
+  $('numbers').textContent = [mesh, stream, stage.frameMs ? `frame ${stage.frameMs.toFixed(0)} ms` : ''].filter(Boolean).join(' · ');
 }, 500);
 // For the console and for tests.
 Object.assign(window, { rebake: { stage, map, api, state: () => ({ scene, version, jobs, exposure, view }) } });

@@ -24,7 +24,7 @@ export class Stage {
   onMoved: (picked: Picked, delta: Matrix4) => void = () => {};
   /** The camera came to rest. */
   onCamera: () => void = () => {};
-  /** Milliseconds of the last frame. */
+  /** Milliseconds from frame to frame, when something moved last. */
   frameMs = 0;
   split = false;
 
@@ -57,9 +57,17 @@ export class Stage {
     this.watchClicks();
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement!);
     this.resize();
-    const frame = () => {
+    let last = 0;
+    const frame = (now: number) => {
       requestAnimationFrame(frame);
-      if (this.dirty) this.draw();
+      if (!this.dirty) {
+        last = 0;
+        return;
+      }
+      // From frame to frame while something moves: what the graphics card takes is in it.
+      if (last) this.frameMs = now - last;
+      last = now;
+      this.draw();
     };
     requestAnimationFrame(frame);
   }
@@ -309,7 +317,6 @@ export class Stage {
 
   private draw(): void {
     this.dirty = false;
-    const start = performance.now();
     const { x: width, y: height } = this.renderer.getSize(new Vector2());
     this.renderer.setScissorTest(false);
     this.renderer.clear();
@@ -325,6 +332,5 @@ export class Stage {
       shared.before.value = 0;
       this.renderer.render(this.scene, this.camera);
     }
-    this.frameMs = performance.now() - start;
   }
 }

@@ -182,6 +182,52 @@ try {
   check(Math.abs(patch(back, at) - patch(seen, at)) < 10, 'undo shows what was there before');
   await shot('9-undone');
 
+  // The gizmo: along x, by its arrow, wherever that is on the screen.
+  await page.locator('#objects button', { hasText: new RegExp(`^${objectName}$`) }).click();
+  const placed = () => page.evaluate((n) => window.rebake.state().scene.objects.find((o) => o.name === n).bounds, objectName);
+  const bounds0 = await placed();
+  const middle = bounds0.min.map((low, k) => (low + bounds0.max[k]) / 2);
+  const box = await page.locator('#stage').boundingBox();
+  const screen = async (point) => {
+    const [u, v] = await project(point);
+    return [box.x + u * box.width, box.y + v * box.height];
+  };
+  const [from, to] = [await screen(middle), await screen([middle[0] + 1, middle[1], middle[2]])];
+  const along = (t) => [from[0] + (to[0] - from[0]) * t, from[1] + (to[1] - from[1]) * t];
+  let grip = 0;
+  for (let t = 0.15; t < 1.5 && !grip; t += 0.02) {
+    await page.mouse.move(...along(t));
+    if ((await page.evaluate(() => window.rebake.stage.gizmo.axis)) === 'X') grip = t;
+  }
+  check(grip > 0, 'the gizmo has an arrow along x');
+  await page.mouse.down();
+  for (let k = 1; k <= 5; k++) await page.mouse.move(...along(grip + 0.1 * k));
+  await page.mouse.up();
+  await page.waitForFunction(([n, x]) => window.rebake.state().scene.objects.find((o) => o.name === n).bounds.min[0] > x + 0.2, [objectName, bounds0.min[0]]);
+  await settled();
+  const bounds1 = await placed();
+  check(Math.abs(bounds1.min[1] - bounds0.min[1]) < 1e-4 && Math.abs(bounds1.max[2] - bounds0.max[2]) < 1e-4, `the object moved along x, by ${(bounds1.min[0] - bounds0.min[0]).toFixed(2)} m, and not else`);
+  await shot('9b-moved');
+  await page.locator('#undo').click();
+  await page.waitForFunction(([n, x]) => Math.abs(window.rebake.state().scene.objects.find((o) => o.name === n).bounds.min[0] - x) < 1e-4, [objectName, bounds0.min[0]]);
+  await page.locator('#redo').click();
+  await page.waitForFunction(([n, x]) => Math.abs(window.rebake.state().scene.objects.find((o) => o.name === n).bounds.min[0] - x) < 1e-4, [objectName, bounds1.min[0]]);
+  await page.locator('#undo').click();
+  await settled();
+  check(true, 'a move is undone and redone');
+
+  // Cancel, before anything else: the whole room as an asset in the room is work enough.
+  await page.setInputFiles('#asset-file', room);
+  await page.locator('#assets button').first().click();
+  await page.locator('#job button', { hasText: 'Cancel' }).click();
+  await page.waitForFunction(() => window.rebake.state().jobs[0].state === 'canceled');
+  check((await page.locator('#job').textContent()).includes('canceled'), 'a running job is canceled');
+  await page.locator('#undo').click();
+  await page.waitForFunction((n) => window.rebake.state().scene.objects.length === n, scene.objects.length);
+  await settled();
+  const cleared = await canvas();
+  check(Math.abs(patch(cleared, [0.5, 0.9]) - patch(seen, [0.5, 0.9])) < 10, 'undo takes out what a canceled job put in');
+
   // A slider: the first light at half its intensity, and back.
   const lightOf = async () => (await state()).scene.lights[0];
   const light = await lightOf();
