@@ -9,15 +9,17 @@ use std::f32::consts::FRAC_1_PI;
 
 use glam::Vec3;
 
-use crate::bvh::{Hit, Ray};
+use crate::bvh::{BuildQuality, Bvh, Hit, Ray};
 use crate::random::{Pcg32, R2};
-use crate::sampling::SphericalTriangle;
 use crate::scene::LightKind;
 use crate::transport::DirectLight;
 use crate::transport::direct::{below_horizon, visible_weight};
 use crate::world::{Emitter, Placed, Shape, World};
 
 const NONE: u32 = u32::MAX;
+
+/// Relative difference in distance up to which a light's triangle is the one that a ray met.
+const SAME: f32 = 1e-3;
 
 /// A world's lights with the way back from triangles to them.
 pub(super) struct Lights<'a> {
@@ -26,10 +28,10 @@ pub(super) struct Lights<'a> {
     counts: DirectLight,
     /// Cosine samples of an element per batch.
     cosine_samples: f32,
-    /// Per triangle slot: index into `hits`.
+    /// Per triangle slot: the emitter.
     of_triangle: Vec<u32>,
-    /// Emitter and index among its triangles.
-    hits: Vec<(u32, u32)>,
+    /// Over each emissive surface's own triangles, of which the scene's are subdivisions.
+    trees: Vec<Option<Bvh>>,
 }
 
 impl<'a> Lights<'a> {
@@ -41,7 +43,7 @@ impl<'a> Lights<'a> {
             counts,
             cosine_samples: samples as f32,
             of_triangle: vec![NONE; world.geometry.triangles.len()],
-            hits: Vec::new(),
+            trees: world.emitters.list.iter().map(tree_of).collect(),
         };
         for (index, emitter) in world.emitters.list.iter().enumerate() {
             lights.add_triangles(index as u32, emitter);
@@ -49,19 +51,11 @@ impl<'a> Lights<'a> {
         lights
     }
 
-    /// Triangles of an emissive surface, in the order of its emitter.
     fn add_triangles(&mut self, index: u32, emitter: &Emitter) {
         let Some((placed, material)) = emissive_part(self.world, emitter) else { return };
-        let surface = &placed.surface;
-        let slots = placed.placement.triangles.clone();
-        let mut next = 0;
-        for (slot, (corners, m)) in slots.zip(surface.triangles.iter().zip(&surface.triangle_materials)) {
-            let [a, b, c] = corners.map(|i| surface.vertices[i as usize]);
-            // The emitter leaves triangles without an area out.
-            if *m == material && (b - a).cross(c - a).length() > 0.0 {
-                self.of_triangle[slot as usize] = self.hits.len() as u32;
-                self.hits.push((index, next));
-                next += 1;
+        for (slot, m) in placed.placement.triangles.clone().zip(&placed.surface.triangle_materials) {
+            if *m == material {
+                self.of_triangle[slot as usize] = index;
             }
         }
     }
@@ -118,13 +112,29 @@ impl<'a> Lights<'a> {
         if entry == NONE {
             return Vec3::ZERO;
         }
-        let (index, triangle) = self.hits[entry as usize];
+        let index = entry;
         let emitter = &self.world.emitters.list[index as usize];
-        let Some(pdf) = density(emitter, triangle as usize, ray, hit) else { return Vec3::ZERO };
+        let Shape::Surface { double_sided, .. } = &emitter.shape else { return Vec3::ZERO };
+        if hit.normal.dot(ray.direction) >= 0.0 && !double_sided {
+            return Vec3::ZERO;
+        }
+        let which = || {
+            let tree = self.trees[index as usize].as_ref()?;
+            let around = Ray { t_min: hit.t * (1.0 - SAME), t_max: hit.t * (1.0 + SAME), ..*ray };
+            tree.closest_hit(&around, None).map(|h| h.triangle as usize)
+        };
+        let pdf = emitter.pdf(ray, hit, which);
         // No light sample can come from where the density is zero: the hit counts in full.
         let part = if pdf > 0.0 { share(index, n.dot(ray.direction) * FRAC_1_PI / pdf) } else { 1.0 };
         emitter.strength * part
     }
+}
+
+fn tree_of(emitter: &Emitter) -> Option<Bvh> {
+    let Shape::Surface { triangles, .. } = &emitter.shape else { return None };
+    let corners: Vec<[Vec3; 3]> = triangles.iter().map(|t| t.corners).collect();
+    let ids: Vec<u32> = (0..corners.len() as u32).collect();
+    Some(Bvh::build(&corners, &ids, BuildQuality::Fast))
 }
 
 /// The object of an emissive surface and the index of its material.
@@ -134,24 +144,4 @@ fn emissive_part<'a>(world: &'a World, emitter: &Emitter) -> Option<(&'a Placed,
     let LightKind::Emissive { material, .. } = light.kind else { return None };
     let placed = world.placed.iter().find(|placed| placed.key == key)?;
     Some((placed, material))
-}
-
-/// Density per steradian with which [`Emitter::sample`] finds the point that a ray met on one of the emitter's
-/// triangles, given the emitter. None where that side emits nothing.
-fn density(emitter: &Emitter, triangle: usize, ray: &Ray, hit: &Hit) -> Option<f32> {
-    let Shape::Surface { triangles, choice, double_sided, .. } = &emitter.shape else { return None };
-    let triangle_pdf = choice.pdf(triangle);
-    let triangle = triangles.get(triangle)?;
-    let [a, b, c] = triangle.corners;
-    let height = (ray.origin - a).dot(triangle.normal);
-    if height <= 0.0 && !double_sided || height == 0.0 {
-        return None;
-    }
-    let to_center = (a + b + c) * (1.0 / 3.0) - ray.origin;
-    let slope = ray.direction.dot(triangle.normal).abs();
-    if to_center.length_squared() < 8.0 * triangle.area {
-        let spherical = SphericalTriangle::new(ray.origin, triangle.corners);
-        return Some(spherical.filter(|_| slope >= 1e-7).map_or(0.0, |s| triangle_pdf * s.pdf()));
-    }
-    Some(if slope > 0.0 { triangle_pdf * hit.t * hit.t / (slope * triangle.area) } else { 0.0 })
 }

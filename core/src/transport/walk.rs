@@ -1,5 +1,5 @@
 //! Light that arrives along a ray, looked up at the surface that it meets, with the near-field rule: hits nearer than
-//! two spacings are not looked up. A map interpolated across a contact leaks there (design, section 2: 0.2 % of the
+//! two spacings of the elements there are not looked up. A map interpolated across a contact leaks there (design, section 2: 0.2 % of the
 //! elements carried 54 % of the squared bias). Light is sampled at the hit instead, and the path goes on.
 
 use glam::Vec3;
@@ -12,8 +12,11 @@ use crate::random::Pcg32;
 use crate::sampling::cosine_hemisphere;
 use crate::world::World;
 
-/// Hits nearer than this many spacings are near.
+/// Hits nearer than this many spacings of the elements there are near.
 const NEAR: f32 = 2.0;
+
+/// Square of the distance between elements over the area of one: a little more than that of a square grid.
+const AREA_TO_SPACING: f32 = 1.5;
 
 /// Near hits are followed at most this often before the map is trusted anyway.
 const NEAR_DEPTH: u32 = 16;
@@ -55,7 +58,17 @@ pub(crate) fn walk(
             return if depth > 0 { End::Escaped(weight) } else { End::Absorbed };
         };
         let Some(surfel) = Surfel::to_look_up(world, &ray, &hit, rays) else { return End::Absorbed };
-        let is_near = surfel.elements.is_none() || hit.t < near && depth < NEAR_DEPTH;
+        let is_near = match surfel.elements {
+            None => true,
+            // A fine mesh can be trusted from nearer.
+            Some(elements) => {
+                let area = |e: u32| world.geometry.areas[e as usize];
+                depth < NEAR_DEPTH
+                    && hit.t < near
+                    && hit.t * hit.t
+                        < NEAR * NEAR * AREA_TO_SPACING * elements.map(area).into_iter().fold(0.0, f32::max)
+            }
+        };
         visit(&surfel, weight, is_near, rng, rays);
         weight *= surfel.albedo;
         if weight == Vec3::ZERO {

@@ -4,6 +4,7 @@ use std::f32::consts::FRAC_1_PI;
 
 use glam::Vec3;
 
+use crate::bvh::{Hit, Ray};
 use crate::sampling::{Discrete, SphericalTriangle, uniform_barycentrics};
 use crate::scene::{Light, LightKind};
 
@@ -36,6 +37,10 @@ pub(crate) enum Shape {
         center: Vec3,
         /// m.
         radius: f32,
+        /// Area of the largest triangle, m².
+        largest: f32,
+        /// Area of all, m².
+        area: f32,
     },
     /// Point or spot: candela; `spot` holds direction, cosines of inner and outer angle.
     Point { position: Vec3, spot: Option<(Vec3, f32, f32)>, range: Option<f32> },
@@ -127,7 +132,9 @@ fn surface(triangles: Vec<EmissiveTriangle>, double_sided: bool) -> Shape {
     });
     let center = (low + high) * 0.5;
     let radius = corners().map(|c| c.distance(center)).fold(0.0, f32::max) * 1.0001;
-    Shape::Surface { triangles, choice, double_sided, center, radius }
+    let largest = triangles.iter().map(|t| t.area).fold(0.0, f32::max);
+    let area = triangles.iter().map(|t| t.area).sum();
+    Shape::Surface { triangles, choice, double_sided, center, radius, largest, area }
 }
 
 /// The specification's window: the inverse square law, ended smoothly at `range`.
@@ -268,6 +275,34 @@ fn sample_few(
     let (spherical, triangle, left) = last?;
     let u = ((left / spherical.solid_angle) as f32).clamp(0.0, 0.999_999_94);
     triangle.towards(point, n, spherical.sample([u, v]), (1.0 / total) as f32)
+}
+
+impl Emitter {
+    /// Density per steradian with which [`Emitter::sample`] finds the point that a ray met on this emissive surface;
+    /// zero where it never does. `which` tells the index of the triangle, where it is needed: near many triangles.
+    pub(crate) fn pdf(&self, ray: &Ray, hit: &Hit, which: impl FnOnce() -> Option<usize>) -> f32 {
+        let Shape::Surface { triangles, choice, double_sided, center, radius, largest, area } = &self.shape else {
+            return 0.0;
+        };
+        let point = ray.origin;
+        let slope = ray.direction.dot(hit.normal).abs();
+        let few = triangles.len() <= FEW;
+        if few && triangles.iter().any(|t| t.is_near(point)) {
+            let seen = triangles.iter().filter(|t| t.shines_at(point, *double_sided));
+            let total: f64 = seen.filter_map(|t| SphericalTriangle::new(point, t.corners)).map(|s| s.solid_angle).sum();
+            return if total > 0.0 && slope >= 1e-7 { (1.0 / total) as f32 } else { 0.0 };
+        }
+        if !few && point.distance(*center) < radius + (8.0 * largest).sqrt() {
+            let Some(index) = which() else { return 0.0 };
+            let triangle = &triangles[index];
+            if triangle.is_near(point) {
+                let spherical = SphericalTriangle::new(point, triangle.corners).filter(|_| slope >= 1e-7);
+                return spherical.map_or(0.0, |s| choice.pdf(index) * s.pdf());
+            }
+        }
+        // By area, whatever the triangle.
+        if slope > 0.0 { hit.t * hit.t / (slope * area) } else { 0.0 }
+    }
 }
 
 impl EmissiveTriangle {
