@@ -25,6 +25,8 @@ fn the_service_that_is_killed() {
     let Some(directory) = std::env::var_os(DIRECTORY) else { return };
     let mut config = rebake::Config { threads: 1, data_dir: Some(PathBuf::from(directory)), ..Default::default() };
     config.timeouts.save = Duration::from_millis(5);
+    // None is forgotten while this test still asks for it.
+    config.limits.finished_jobs = 1_000_000;
     tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap().block_on(async {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         eprintln!("listening on http://{}", listener.local_addr().unwrap());
