@@ -34,7 +34,7 @@ pub(crate) fn restore(app: &Arc<App>, disk: &Disk, saved: Saved) {
     }
     let mut unbaked = Vec::new();
     for scene in saved.scenes {
-        let (entry, is_unbaked) = restore_scene(app, disk, scene);
+        let (entry, is_unbaked) = restore_scene(app, disk, &scene);
         if is_unbaked {
             unbaked.push(entry.clone());
         }
@@ -64,12 +64,12 @@ fn restore_asset(app: &App, disk: &Disk, id: &str) -> Result<(), StoreError> {
 }
 
 /// A scene, and whether its light is lost.
-fn restore_scene(app: &App, disk: &Disk, saved: SavedScene) -> (Arc<SceneEntry>, bool) {
-    match rebuild(app, disk, &saved) {
+fn restore_scene(app: &App, disk: &Disk, saved: &SavedScene) -> (Arc<SceneEntry>, bool) {
+    match rebuild(app, disk, saved) {
         Ok((entry, is_unbaked)) => (Arc::new(entry), is_unbaked),
         Err(error) => {
             tracing::error!(scene = app.ids.scene(saved.number), %error, "a scene is damaged");
-            (Arc::new(damaged(app, &saved, &error)), false)
+            (Arc::new(damaged(app, saved, &error)), false)
         }
     }
 }
@@ -109,8 +109,7 @@ fn rebuild(app: &App, disk: &Disk, saved: &SavedScene) -> Result<(SceneEntry, bo
 }
 
 fn build(app: &App, glb: &[u8], record: &SceneRecord) -> Result<World, StoreError> {
-    let unreadable =
-        |error: &dyn ToString| StoreError::damaged("the upload cannot be read any more", error.to_string());
+    let unreadable = |error: &dyn std::fmt::Display| StoreError::damaged("the upload cannot be read any more", error);
     let mut scene = engine::load(glb, &app.config.limits).map_err(|error| unreadable(&error))?;
     if let Some(radiance) = record.environment {
         engine::add_environment(&mut scene, Vec3::from_array(radiance));

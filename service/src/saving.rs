@@ -62,11 +62,11 @@ impl App {
         self.store.close();
     }
 
-    pub(crate) fn forget_jobs(&self, jobs: Vec<JobNumber>) {
+    pub(crate) fn forget_jobs(&self, jobs: &[JobNumber]) {
         if jobs.is_empty() || !self.store.is_durable() {
             return;
         }
-        if let Err(error) = self.store.jobs_forgotten(&jobs) {
+        if let Err(error) = self.store.jobs_forgotten(jobs) {
             // The next start forgets them.
             tracing::debug!(%error, "old jobs stay on the disk");
         }

@@ -116,6 +116,7 @@ fn broken() -> Vec<(String, Vec<u8>)> {
         ("/meshes/0/primitives/0/indices", json!(0)),
         ("/meshes/0/primitives/0/material", json!(99)),
         ("/meshes/0/primitives", json!(3)),
+        ("/meshes/0/primitives", json!([])),
         ("/nodes/0/mesh", json!(9)),
         ("/nodes/0/children", json!([0])),
         ("/nodes/0/children", json!([99])),

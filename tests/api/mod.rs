@@ -9,6 +9,7 @@ mod edits;
 mod engine;
 mod errors;
 mod events;
+mod fuzz;
 mod glb;
 mod jobs;
 mod lightmap;

@@ -15,13 +15,12 @@ use crate::state::App;
 pub(super) async fn requests(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
     let Some(needed) = scope_for(request.method(), request.uri().path()) else { return next.run(request).await };
     let Some(tokens) = &app.config.tokens else { return next.run(request).await };
-    let refused = match bearer(request.headers()).map(|token| tokens.scope_of(token)) {
-        Some(Some(scope)) if scope >= needed => return next.run(request).await,
+    match bearer(request.headers()).map(|token| tokens.scope_of(token)) {
+        Some(Some(scope)) if scope >= needed => next.run(request).await,
         Some(Some(_)) => refuse(Kind::Forbidden, needed, Some("insufficient_scope")),
         Some(None) => refuse(Kind::Unauthorized, needed, Some("invalid_token")),
         None => refuse(Kind::Unauthorized, needed, None),
-    };
-    refused
+    }
 }
 
 /// What a call needs; none where it is open.

@@ -107,6 +107,8 @@ pub enum JobState {
     Queued,
     /// Runs.
     Running,
+    /// Waits for somebody to resume it.
+    Paused,
     /// Done.
     Succeeded,
     /// Ended by an error.

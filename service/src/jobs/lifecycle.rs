@@ -243,11 +243,20 @@ impl App {
         pool: Arc<ThreadPool>,
     ) {
         let now = Timestamp::now();
-        if self.store.is_durable() && *outcome != Outcome::Interrupted {
-            self.keep_end(number, scene, outcome, now);
-        }
+        let kept = match self.store.is_durable() && *outcome != Outcome::Interrupted {
+            true => self.keep_end(number, scene, outcome, now),
+            false => Vec::new(),
+        };
         let mut state = self.jobs.lock();
-        for job in state.queue.finish(number, outcome, now) {
+        let changed = state.queue.finish(number, outcome, now);
+        // One that was merged and canceled while its end was being kept ended as its client was told.
+        for job in kept.iter().filter(|job| !changed.contains(job)) {
+            let record = state.queue.get(*job).cloned().and_then(|job| state.record(job));
+            if let Some(Err(error)) = record.map(|record| self.store.job_changed(&record)) {
+                self.note_unsaved(scene, &error);
+            }
+        }
+        for job in changed {
             state.queue.get(job).into_iter().for_each(|ended| count_end(&self.metrics, ended));
             match state.queue.get(job).is_some_and(|job| job.state.has_ended()) {
                 true => state.ended(self, job),
@@ -258,7 +267,8 @@ impl App {
         self.start_what_can(&mut state);
     }
 
-    fn keep_end(&self, number: JobNumber, scene: &SceneEntry, outcome: &Outcome, now: Timestamp) {
+    /// Keeps the end of a job and of those merged into it, with the light; answers which.
+    fn keep_end(&self, number: JobNumber, scene: &SceneEntry, outcome: &Outcome, now: Timestamp) -> Vec<JobNumber> {
         let records: Vec<JobRecord> = {
             let state = self.jobs.lock();
             let ended = state.queue.preview_finish(number, outcome, now);
@@ -266,14 +276,15 @@ impl App {
         };
         // The light goes with the first: after a restart no job has ended whose light is not there.
         let mut light = (!scene.is_deleted()).then(|| scene.light_record());
-        for record in records {
-            if let Err(error) = self.store.job_ended(&record, light.take().as_ref()) {
+        for record in &records {
+            if let Err(error) = self.store.job_ended(record, light.take().as_ref()) {
                 // Nothing is lost: after a restart the job runs once more.
                 self.note_unsaved(scene, &error);
-                return;
+                return Vec::new();
             }
         }
         scene.set_error(None);
+        records.into_iter().map(|record| record.job.number).collect()
     }
 
     pub(super) fn start_what_can(self: &Arc<App>, state: &mut State) {

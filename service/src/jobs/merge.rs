@@ -40,10 +40,10 @@ fn absorb(edits: &mut [Option<Edit>], later: usize) {
     let slot = &mut rest[0];
     match slot {
         Some(Edit::Move { object, .. }) => {
-            take_last(before, object, |edit, name| matches!(edit, Edit::Move { object, .. } if object == name))
+            take_last(before, object, |edit, name| matches!(edit, Edit::Move { object, .. } if object == name));
         }
         Some(Edit::Material { object, .. }) => {
-            take_last(before, object, |edit, name| matches!(edit, Edit::Material { object, .. } if object == name))
+            take_last(before, object, |edit, name| matches!(edit, Edit::Material { object, .. } if object == name));
         }
         Some(Edit::Remove { objects }) => {
             objects.retain(|name| !vanishes(before, name));

@@ -188,7 +188,7 @@ impl State {
         for old in &forgotten {
             self.handles.remove(old);
         }
-        app.forget_jobs(forgotten);
+        app.forget_jobs(&forgotten);
     }
 
     /// What is kept of a job.

@@ -24,8 +24,8 @@ fn edit(queue: &mut Queue, scene: SceneNumber) -> JobNumber {
 }
 
 /// Ends a job; whether that was its next step.
-fn finish(queue: &mut Queue, job: JobNumber, outcome: Outcome) -> bool {
-    !queue.finish(job, &outcome, NOW).is_empty()
+fn finish(queue: &mut Queue, job: JobNumber, outcome: &Outcome) -> bool {
+    !queue.finish(job, outcome, NOW).is_empty()
 }
 
 /// Starts what the scheduler says until it waits; answers what it started.
@@ -56,10 +56,10 @@ fn a_life_of_a_queue() {
          3 scene 2 bake running\n\
          4 scene 1 edit canceled\n"
     );
-    assert!(finish(&mut queue, 1, Outcome::Canceled));
-    assert!(finish(&mut queue, 3, Outcome::Failed("the engine broke".to_owned())));
+    assert!(finish(&mut queue, 1, &Outcome::Canceled));
+    assert!(finish(&mut queue, 3, &Outcome::Failed("the engine broke".to_owned())));
     assert_eq!(start_all(&mut queue, 2), [2]);
-    assert!(finish(&mut queue, 2, Outcome::Succeeded));
+    assert!(finish(&mut queue, 2, &Outcome::Succeeded));
     assert_eq!(
         queue.to_string(),
         "1 scene 1 bake canceled 25 %\n\
@@ -79,7 +79,7 @@ fn a_long_queue_of_one_scene_does_not_starve_another() {
     while let Decision::Start(job) = tick(&queue, 1) {
         queue.start(job, NOW);
         order.push(queue.get(job).map(|job| job.scene).unwrap());
-        finish(&mut queue, job, Outcome::Succeeded);
+        finish(&mut queue, job, &Outcome::Succeeded);
     }
     assert_eq!(order, [1, 2, 3, 1, 1]);
 }
@@ -88,12 +88,12 @@ fn a_long_queue_of_one_scene_does_not_starve_another() {
 fn impossible_steps_are_refused() {
     let mut queue = queue(10, 10, 10);
     let (first, second) = (edit(&mut queue, 1), edit(&mut queue, 1));
-    assert!(!finish(&mut queue, first, Outcome::Succeeded), "it does not run");
+    assert!(!finish(&mut queue, first, &Outcome::Succeeded), "it does not run");
     assert!(queue.start(first, NOW));
     assert!(!queue.start(first, NOW), "it runs already");
     assert!(!queue.start(second, NOW), "its scene is busy");
-    assert!(finish(&mut queue, first, Outcome::Succeeded));
-    assert!(!finish(&mut queue, first, Outcome::Failed("late".to_owned())), "it has ended");
+    assert!(finish(&mut queue, first, &Outcome::Succeeded));
+    assert!(!finish(&mut queue, first, &Outcome::Failed("late".to_owned())), "it has ended");
     assert_eq!(queue.cancel(first, NOW), Change::Ended);
     assert_eq!(queue.cancel(99, NOW), Change::Unknown);
     queue.report(first, JobProgress::default());
@@ -146,10 +146,10 @@ fn whatever_happens_the_rules_hold() {
                     queue.cancel(any, NOW);
                 }
                 4 => {
-                    finish(&mut queue, any, Outcome::Failed("injected".to_owned()));
+                    finish(&mut queue, any, &Outcome::Failed("injected".to_owned()));
                 }
                 _ => {
-                    finish(&mut queue, any, Outcome::Succeeded);
+                    finish(&mut queue, any, &Outcome::Succeeded);
                 }
             }
             forgotten += queue.take_forgotten().len() as u64;
@@ -159,10 +159,10 @@ fn whatever_happens_the_rules_hold() {
         // In the end everything ends.
         for _ in 0..100 {
             for job in start_all(&mut queue, 2) {
-                finish(&mut queue, job, Outcome::Succeeded);
+                finish(&mut queue, job, &Outcome::Succeeded);
             }
             for scene in 0..4 {
-                queue.running_on(scene).map(|job| finish(&mut queue, job, Outcome::Canceled));
+                queue.running_on(scene).map(|job| finish(&mut queue, job, &Outcome::Canceled));
             }
         }
         assert!(queue.iter().all(|job| job.state.has_ended()), "{queue}");
@@ -205,7 +205,7 @@ fn merged_jobs_end_as_the_one_that_does_their_work() {
     let preview: Vec<_> =
         queue.preview_finish(first, &Outcome::Succeeded, NOW).iter().map(|job| (job.number, job.state)).collect();
     assert_eq!(preview, [(first, JobState::Succeeded), (second, JobState::Succeeded)]);
-    assert!(finish(&mut queue, first, Outcome::Succeeded));
+    assert!(finish(&mut queue, first, &Outcome::Succeeded));
     assert_eq!(
         queue.to_string(),
         "1 scene 1 edit succeeded 100 %\n2 scene 1 edit succeeded (in 1) 100 %\n3 scene 2 edit running\n"
@@ -235,7 +235,7 @@ fn high_priorities_go_first_but_nothing_waits_for_ever() {
         push(&mut queue, 100 + starts, JobKind::Edit, Priority::High).unwrap();
         let Decision::Start(job) = tick(&queue, 1) else { panic!("something waits") };
         queue.start(job, NOW);
-        finish(&mut queue, job, Outcome::Succeeded);
+        finish(&mut queue, job, &Outcome::Succeeded);
         if job == low {
             break;
         }

@@ -9,7 +9,7 @@ pub(crate) mod records;
 pub(crate) mod scenes;
 pub(crate) mod versions;
 
-use std::fmt::Debug;
+use std::fmt::{Debug, Display};
 use std::io;
 
 use crate::jobs::queue::{JobNumber, SceneNumber};
@@ -26,7 +26,7 @@ pub(crate) struct StoreError {
 }
 
 impl StoreError {
-    pub(crate) fn damaged(reason: &'static str, detail: impl ToString) -> StoreError {
+    pub(crate) fn damaged(reason: &'static str, detail: impl Display) -> StoreError {
         StoreError { reason, detail: detail.to_string() }
     }
 }

@@ -72,6 +72,9 @@ impl<'f> Meshes<'f> {
         let missing = || malformed(&format!("mesh {index}"), "does not exist");
         let json = self.file.root.meshes.get(index).ok_or_else(missing)?;
         let name = format!("mesh {index} \"{}\"", json.name.as_deref().unwrap_or_default());
+        if json.primitives.is_empty() {
+            return Err(malformed(&name, "has no primitives"));
+        }
         let mut draft = Draft::default();
         for (number, primitive) in json.primitives.iter().enumerate() {
             let place = format!("{name}, primitive {number}");

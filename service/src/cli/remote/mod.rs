@@ -93,6 +93,7 @@ fn show_progress(bar: &indicatif::ProgressBar, job: &Job) {
     bar.set_position((progress.fraction.unwrap_or(0.0).clamp(0.0, 1.0) * 1000.0) as u64);
     bar.set_message(match job.state {
         JobState::Queued => "queued".to_owned(),
+        JobState::Paused => "paused".to_owned(),
         _ => describe(job),
     });
 }

@@ -80,3 +80,42 @@ fn closed() -> StoreError {
 fn to_json(record: &impl serde::Serialize) -> Result<String, StoreError> {
     serde_json::to_string(record).map_err(|error| StoreError::damaged("a record cannot be written", error))
 }
+
+#[cfg(test)]
+mod tests {
+    use jiff::Timestamp;
+
+    use super::super::Store;
+    use super::super::records::{JobRecord, SceneRecord};
+    use super::*;
+    use crate::jobs::observer::JobBudget;
+    use crate::jobs::queue::{Job, JobKind, JobState, Outcome, Priority};
+    use crate::store::versions::Mode;
+
+    fn job(number: u64, scene: u64) -> JobRecord {
+        let budget = JobBudget { samples_per_element: 4, max_seconds: Some(0.1), target_rmse: Some(1e-3) };
+        let job = Job::new(number, scene, JobKind::Bake, Priority::High, Timestamp::now());
+        JobRecord { job, budget, focus: None, seed: u64::MAX - 1, sequence: 0 }
+    }
+
+    #[test]
+    fn a_job_that_has_ended_stays_so_and_jobs_end_with_their_scene() {
+        let directory = tempfile::tempdir().unwrap();
+        let disk = Disk::open(directory.path(), Faults::default(), 2).unwrap();
+        let (name, created_at) = ("a".to_owned(), Timestamp::now());
+        let scene = SceneRecord { name, mode: Mode::Full, spacing: 0.1, environment: None, created_at };
+        disk.scene_created(1, &scene, b"glb", Some(&job(1, 1))).unwrap();
+        disk.job_changed(&job(2, 1)).unwrap();
+        let mut done = job(1, 1);
+        done.job.end(&Outcome::Succeeded, Timestamp::now());
+        disk.job_ended(&done, None).unwrap();
+        disk.job_changed(&job(1, 1)).unwrap();
+        disk.scene_deleted(1).unwrap();
+        let saved = disk.load("x").unwrap();
+        assert!(saved.scenes.is_empty() && saved.newest_scene == 1 && saved.newest_job == 2);
+        let jobs: Vec<JobRecord> = saved.jobs.into_iter().map(Result::unwrap).collect();
+        let states: Vec<JobState> = jobs.iter().map(|record| record.job.state).collect();
+        assert_eq!(states, [JobState::Succeeded, JobState::Canceled]);
+        assert!(jobs[1].job.finished_at.is_some() && jobs[1].seed == u64::MAX - 1);
+    }
+}

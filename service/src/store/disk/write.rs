@@ -196,7 +196,8 @@ fn light_files(t: &Transaction<'_>, scene: i64) -> Result<Vec<BlobId>, StoreErro
 
 fn put_job(t: &Transaction<'_>, job: &JobRecord) -> Result<(), StoreError> {
     let sql = "INSERT INTO jobs (number, scene, is_open, record) VALUES (?1, ?2, ?3, ?4)
-        ON CONFLICT (number) DO UPDATE SET is_open = excluded.is_open, record = excluded.record WHERE is_open";
+        ON CONFLICT (number) DO UPDATE SET is_open = excluded.is_open, record = excluded.record
+            WHERE jobs.is_open OR NOT excluded.is_open";
     // What has ended stays so: its end is kept before the queue knows of it, and a request to stop may come between.
     let is_open = !job.job.state.has_ended();
     t.execute(sql, (job.job.number as i64, job.job.scene as i64, is_open, to_json(job)?))?;
