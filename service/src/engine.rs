@@ -11,7 +11,9 @@ use rebake_core::export::{EXR_WIDTH, write_exr};
 use rebake_core::scene::{Light, LightKind, LoadLimits, load_glb};
 pub use rebake_core::scene::{LoadError, Scene};
 pub use rebake_core::surface::SurfaceError;
-pub use rebake_core::{Budget, Canceled, Edit, EditError, EditErrorKind, Focus, LightMap, Observer, Progress, Relight};
+pub use rebake_core::{
+    Budget, Canceled, Edit, EditError, EditErrorKind, Focus, LightMap, Observer, Pass, Progress, Relight,
+};
 pub use rebake_core::{Transition, World, WorldError};
 
 use crate::config::Limits;
@@ -128,6 +130,18 @@ pub(crate) fn have_same_slots(short: &World, long: &World) -> bool {
         objects(world).map(slots).collect()
     };
     short.slots() <= long.slots() && slots(short) == slots(long)
+}
+
+/// A map of another world with the same elements, whose slots may end with other holes.
+pub(crate) fn fitted(map: &Arc<LightMap>, slots: usize) -> Arc<LightMap> {
+    if map.len() <= slots {
+        return lengthened(map, slots);
+    }
+    let mut shorter = LightMap::clone(map);
+    shorter.direct.truncate(slots);
+    shorter.indirect.truncate(slots);
+    shorter.variance.truncate(slots);
+    Arc::new(shorter)
 }
 
 /// A map with holes at its end, up to `slots`.

@@ -57,7 +57,7 @@ impl App {
     pub(crate) fn memory_in_use(&self) -> u64 {
         let of = |scene: &crate::store::scenes::SceneEntry| {
             let published = scene.published();
-            (published.world.memory_bytes() + published.memory_bytes()) as u64
+            (published.world.memory_bytes() + published.memory_bytes() + scene.earlier.memory_bytes()) as u64
         };
         self.scenes.all().iter().map(|scene| of(scene)).sum()
     }

@@ -266,3 +266,37 @@ async fn if_match_names_the_version() {
     }
     server.stop().await;
 }
+
+/// The raw light map of a scene, without the versions in its frame's header.
+async fn values(server: &Server, scene: &Value) -> Vec<u8> {
+    let raw = server.get(&format!("{}/lightmap?format=raw", path_of(scene))).await;
+    assert_eq!(raw.status, 200);
+    const HEADER: usize = 40;
+    raw.body[HEADER..].to_vec()
+}
+
+#[tokio::test]
+async fn taking_an_edit_back_gives_the_map_from_before_it() {
+    let server = Server::start().await;
+    let asset = server.crate_asset().await;
+    let scene = server.baked_room("?samples_per_element=4").await;
+    let bits = values(&server, &scene).await;
+    let budget = json!({ "samples_per_element": 4 });
+    let there = json!({ "op": "insert", "asset": asset, "name": "crate-1", "transform": translation(2.0, 0.01, 2.0),
+        "budget": budget });
+    let back = json!({ "op": "remove", "objects": ["crate-1"], "budget": budget });
+    for _ in 0..2 {
+        server.end_of(&server.edit(&scene, &there).await).await;
+        assert_ne!(values(&server, &scene).await, bits);
+        let job = server.end_of(&server.edit(&scene, &back).await).await;
+        assert_eq!(job["state"], "succeeded", "{job}");
+        let now = values(&server, &scene).await;
+        // The slots of what was removed stay as a hole at the end.
+        let (runs, values) = now.split_at(8);
+        let (old_runs, old_values) = bits.split_at(8);
+        assert_eq!(runs[..4], old_runs[..4]);
+        assert_eq!(values[..old_values.len()], *old_values);
+        assert!(values[old_values.len()..].iter().all(|byte| *byte == 0));
+    }
+    server.stop().await;
+}

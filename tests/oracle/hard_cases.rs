@@ -177,7 +177,7 @@ fn inserting_and_removing_comes_back() {
     assert!((ratio - 1.0).abs() < 0.01, "after 100 edits the mean is {ratio:.4} of what it was");
     // What is stated is what is there: against the map before all edits, whose own noise counts too.
     let areas = f64::from(world.areas().iter().sum::<f32>());
-    let squares = (0..map.len())
+    let squares = (0..start.len())
         .map(|i| f64::from(world.areas()[i]) * (map.total(i) - start.total(i)).as_dvec3().length_squared() / 3.0);
     let (found, own) = ((squares.sum::<f64>() / areas).sqrt(), f64::from(start.estimated_rmse(world.areas())));
     let expected = last.hypot(own);

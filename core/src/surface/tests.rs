@@ -264,6 +264,10 @@ fn real_scenes_are_loaded_and_subdivided() {
         let built = start.elapsed();
         for (surface, object) in surfaces.iter().zip(&scene.objects) {
             surface.validate().unwrap_or_else(|error| panic!("{name}, {}: {error}", object.name));
+            // Objects that are all glass have no triangle.
+            if object.mesh.triangles.is_empty() {
+                continue;
+            }
             let ratio = surface.area() / object_area(object);
             assert!((ratio - 1.0).abs() < 1e-3, "{name}, {}: {ratio}", object.name);
         }

@@ -9,6 +9,7 @@ mod emitters;
 mod geometry;
 mod info;
 mod probe;
+mod same;
 mod sight;
 mod transition;
 mod trees;

@@ -8,7 +8,9 @@ use super::observer::JobObserver;
 use super::queue::{JobNumber, Outcome};
 use super::{JobSpec, Stop, merge};
 use crate::compute::catching;
-use crate::engine::{Budget, Canceled, LightMap, Transition, Update, carry_over, have_same_slots, lengthened};
+use crate::engine::{
+    Budget, Canceled, LightMap, Pass, Progress, Transition, Update, World, carry_over, have_same_slots, lengthened,
+};
 use crate::state::App;
 use crate::store::lighting::{Sequence, Unlit, Work};
 use crate::store::scenes::SceneEntry;
@@ -101,6 +103,12 @@ fn light(app: &Arc<App>, run: &Run) -> Outcome {
                     scene.set_lit(step.sequence, map.clone());
                     continue;
                 };
+                scene.earlier.remember(&transition.before, &map);
+                if let Some(known) = scene.earlier.recall(&transition.after) {
+                    map = lengthened(&known, step.slots);
+                    restore(&observer, scene, step.sequence, &transition.after, &map);
+                    continue;
+                }
                 let work = Update {
                     transition,
                     map: &map,
@@ -117,6 +125,22 @@ fn light(app: &Arc<App>, run: &Run) -> Outcome {
             Outcome::Succeeded
         }
     }
+}
+
+/// Publishes a map that was there before an edit that this one takes back.
+fn restore(observer: &JobObserver<'_>, scene: &SceneEntry, sequence: Sequence, world: &World, map: &Arc<LightMap>) {
+    let rmse = map.estimated_rmse(world.areas());
+    let progress = Progress {
+        pass: Pass::FinalGather,
+        samples_per_element: observer.budget.samples_per_element,
+        round_samples: 0,
+        round_fraction: 1.0,
+        rays: 0,
+        estimated_rmse: Some(rmse),
+    };
+    observer.publish(map, &progress);
+    scene.set_lit(sequence, map.clone());
+    tracing::info!("restored");
 }
 
 /// One piece of work on the way to an up-to-date map.

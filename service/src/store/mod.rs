@@ -3,6 +3,7 @@
 
 pub(crate) mod assets;
 pub(crate) mod disk;
+mod earlier;
 pub mod faults;
 pub(crate) mod lighting;
 pub(crate) mod records;

@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 use jiff::Timestamp;
 use tokio::sync::watch;
 
+use super::earlier::Earlier;
 use super::lighting::{Lighting, Lit, Sequence, Unlit, Work};
 use super::records::{KeyRecord, LightRecord};
 use super::versions::{Mode, Published};
@@ -26,6 +27,8 @@ pub(crate) struct SceneEntry {
     /// Edits are accepted one at a time, each against the world that those before it lead to.
     pub(crate) head: Arc<tokio::sync::Mutex<Head>>,
     lighting: Mutex<Lighting>,
+    /// What undo goes back to.
+    pub(crate) earlier: Earlier,
     published: watch::Sender<Arc<Published>>,
     deleted: watch::Sender<bool>,
     /// No version above it may be given before more are reserved.
@@ -73,6 +76,7 @@ impl SceneEntry {
             events: Arc::new(EventLog::new(limits.events, new.first_event)),
             head: Arc::new(tokio::sync::Mutex::new(head)),
             lighting: Mutex::new(lighting),
+            earlier: Earlier::default(),
             published: watch::Sender::new(Arc::new(published)),
             deleted: watch::Sender::new(false),
             reserved: AtomicU64::new(new.reserved),

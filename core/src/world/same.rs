@@ -1,0 +1,100 @@
+//! Whether two worlds are the same to light.
+
+use std::sync::Arc;
+
+use super::{Placed, World};
+use crate::scene::Light;
+
+impl World {
+    /// Whether a light map of `other` is right for this world as it is: the same elements in the same slots, the same
+    /// surfaces, albedos and lights. Names of objects, the order of things, trees and free slots do not count.
+    pub fn is_lit_like(&self, other: &World) -> bool {
+        self.scene.origin == other.scene.origin
+            && self.spacing == other.spacing
+            && self.element_count() == other.element_count()
+            && self.has_lights_of(other)
+            && self.has_objects_of(other)
+    }
+
+    fn has_lights_of(&self, other: &World) -> bool {
+        let sorted = |world: &World| -> Vec<Light> {
+            let mut lights = world.scene.lights.clone();
+            lights.sort_by(|a, b| a.name.cmp(&b.name));
+            lights
+        };
+        sorted(self) == sorted(other)
+    }
+
+    fn has_objects_of(&self, other: &World) -> bool {
+        fn sorted(world: &World) -> Vec<(&Arc<Placed>, usize)> {
+            let counts = world.scene.objects.iter().map(|o| o.materials.len());
+            let mut list: Vec<_> =
+                world.placed.iter().zip(counts).filter(|(p, _)| !p.surface.triangles.is_empty()).collect();
+            list.sort_by_key(|(p, _)| p.placement.elements.start);
+            list
+        }
+        let (a, b) = (sorted(self), sorted(other));
+        a.len() == b.len() && a.into_iter().zip(b).all(|(a, b)| self.is_same_object(a, other, b))
+    }
+
+    fn is_same_object(&self, a: (&Arc<Placed>, usize), other: &World, b: (&Arc<Placed>, usize)) -> bool {
+        let ((a, materials), (b, other_materials)) = (a, b);
+        let parts = |world: &World, placed: &Placed, material: usize| {
+            let part = world.parts[placed.parts_first as usize + material];
+            (part.albedo, part.double_sided, part.solid, part.back_offset)
+        };
+        a.placement.elements == b.placement.elements
+            && materials == other_materials
+            && (0..materials).all(|m| parts(self, a, m) == parts(other, b, m))
+            && (Arc::ptr_eq(&a.surface, &b.surface)
+                || a.surface.vertices == b.surface.vertices
+                    && a.surface.normals == b.surface.normals
+                    && a.surface.triangles == b.surface.triangles
+                    && a.surface.triangle_materials == b.surface.triangle_materials)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use glam::{DMat4, DVec3, Vec3};
+
+    use crate::scene::{Material, Mesh, Object, Scene};
+    use crate::{Edit, Relight, World, WorldOptions};
+
+    fn cube(name: &str, at: f32) -> Object {
+        let low = Vec3::splat(at);
+        Object::new(name, Mesh::cuboid(low, low + Vec3::ONE), Material::diffuse(Vec3::splat(0.5)))
+    }
+
+    #[test]
+    fn edits_that_cancel_out_are_recognised() {
+        let lamp = Object::new("lamp", Mesh::quad(Vec3::Y * 9.0, Vec3::X, Vec3::Z), Material::emissive(Vec3::ONE));
+        let scene = Scene::from_objects(vec![cube("a", 0.0), cube("b", 3.0), lamp]);
+        let options = WorldOptions { spacing: Some(0.25), ..WorldOptions::default() };
+        let start = World::new(scene, &options).expect("a world");
+        let apply = |world: &World, edit: Edit| world.apply(&[edit]).expect("an edit").after;
+        let asset = Arc::new(Scene::from_objects(vec![cube("c", 6.0)]));
+        let insert = Edit::Insert { asset, name: "c".into(), transform: DMat4::IDENTITY };
+        let more = apply(&start, insert.clone());
+        assert!(!more.is_lit_like(&start));
+        let less = apply(&more, Edit::Remove { objects: vec!["c".into()] });
+        assert!(less.is_lit_like(&start));
+        assert!(apply(&less, insert).is_lit_like(&more), "the same thing at the same place, under another key");
+
+        let step = |to| Edit::Move { object: "b".into(), transform: DMat4::from_translation(DVec3::X * to) };
+        let moved = apply(&start, step(2.0));
+        assert!(!moved.is_lit_like(&start) && apply(&moved, step(0.0)).is_lit_like(&start));
+        let paint = |albedo| Edit::Material { object: "a".into(), albedo: Vec3::splat(albedo) };
+        let painted = apply(&start, paint(0.1));
+        assert!(!painted.is_lit_like(&start) && apply(&painted, paint(0.5)).is_lit_like(&start));
+        let light = start.lights().next().expect("a lamp").light.name.clone();
+        let dim = |intensity| Edit::Relight {
+            lights: vec![Relight { light: light.clone(), color: None, intensity: Some(intensity) }],
+        };
+        let was = start.lights().next().expect("a lamp").light.intensity;
+        let dimmed = apply(&start, dim(0.5 * was));
+        assert!(!dimmed.is_lit_like(&start) && apply(&dimmed, dim(was)).is_lit_like(&start));
+    }
+}
