@@ -11,7 +11,12 @@ pub(crate) struct Accumulator {
     squares: Vec<f64>,
     samples: u32,
     rounds: u32,
+    /// Σ over slots of the variance of the mean, as the last round and the mean of those before it tell it.
+    last: f64,
 }
+
+/// Slots per partial sum: fixed, so that sums do not depend on the number of threads.
+const CHUNK: usize = 4096;
 
 impl Accumulator {
     pub(crate) fn new(len: usize) -> Accumulator {
@@ -21,6 +26,7 @@ impl Accumulator {
             squares: vec![0.0; len],
             samples: 0,
             rounds: 0,
+            last: 0.0,
         }
     }
 
@@ -32,6 +38,9 @@ impl Accumulator {
     /// Adds a round of `samples` samples per element.
     pub(crate) fn add(&mut self, samples: u32, direct: &[Vec3], indirect: &[Vec3]) {
         let weight = samples as f32;
+        if self.rounds > 0 {
+            self.last = self.difference(samples, direct, indirect);
+        }
         self.samples += samples;
         self.rounds += 1;
         let sums = self.direct.par_iter_mut().zip(&mut self.indirect).zip(&mut self.squares);
@@ -57,21 +66,42 @@ impl Accumulator {
         self.rounds >= 2
     }
 
+    /// With the means a and b of n and m samples, (a − b)² n m / (n + m)² estimates the variance of the mean of all.
+    fn difference(&self, samples: u32, direct: &[Vec3], indirect: &[Vec3]) -> f64 {
+        let (n, m) = (f64::from(self.samples), f64::from(samples));
+        let of_chunk = |((d, i), (direct, indirect)): ((&[Vec3], &[Vec3]), (&[Vec3], &[Vec3]))| -> f64 {
+            let slots = d.iter().zip(i).zip(direct.iter().zip(indirect));
+            slots.map(|((d, i), (x, y))| ((*d + *i).as_dvec3() / n - (*x + *y).as_dvec3()).length_squared() / 3.0).sum()
+        };
+        let sums = self.direct.par_chunks(CHUNK).zip(self.indirect.par_chunks(CHUNK));
+        let round = direct.par_chunks(CHUNK).zip(indirect.par_chunks(CHUNK));
+        let squares: Vec<f64> = sums.zip(round).map(of_chunk).collect();
+        squares.into_iter().sum::<f64>() * n * m / ((n + m) * (n + m))
+    }
+
     /// Variance of the mean of direct + indirect, mean over RGB: with rounds x_r of n_r samples and variance σ²/n_r,
-    /// Σ n_r (x_r − x̄)² / (R − 1) estimates σ², and the mean has σ² / Σ n_r.
+    /// Σ n_r (x_r − x̄)² / (R − 1) estimates σ², and the mean has σ² / Σ n_r. Low-discrepancy samples do better than
+    /// 1/n: the whole is scaled to what the last round and those before it, which weigh most, say.
     pub(crate) fn variance(&self) -> Vec<f32> {
         if !self.knows_variance() {
             return vec![0.0; self.squares.len()];
         }
         let n = f64::from(self.samples);
         let sums = self.direct.iter().zip(&self.indirect).zip(&self.squares);
-        sums.map(|((d, i), q)| {
-            let mean2 = (*d + *i).as_dvec3().length_squared() / (3.0 * n);
-            ((q - mean2).max(0.0) / (f64::from(self.rounds - 1) * n)) as f32
-        })
-        .collect()
+        let scatter: Vec<f64> = sums
+            .map(|((d, i), q)| {
+                let mean2 = (*d + *i).as_dvec3().length_squared() / (3.0 * n);
+                (q - mean2).max(0.0) / (f64::from(self.rounds - 1) * n)
+            })
+            .collect();
+        let total: f64 = scatter.iter().sum();
+        let scale = if total > 0.0 { (self.last / total).clamp(LEAST_SCALE, 1.0) } else { 1.0 };
+        scatter.into_iter().map(|v| (v * scale) as f32).collect()
     }
 }
+
+/// Low-discrepancy samples are not trusted to do better than this.
+const LEAST_SCALE: f64 = 0.05;
 
 #[cfg(test)]
 mod tests {

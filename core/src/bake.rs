@@ -9,7 +9,7 @@ use crate::accumulate::Accumulator;
 use crate::job::{Budget, Canceled, Observer, Pass};
 use crate::lightmap::LightMap;
 use crate::random::{Pcg32, subseed};
-use crate::rounds::{self, Round};
+use crate::rounds::{Phase, Round, Rounds};
 use crate::solve::{Exchange, Rows, Source, Subset};
 use crate::transport::direct::direct_of;
 use crate::transport::{Field, Rough, Surfel, Work, gather};
@@ -28,16 +28,8 @@ pub fn bake(world: &World, budget: &Budget, seed: u64, observer: &dyn Observer) 
     let seed = subseed(seed, 0xba6e);
     let baker = Baker::new(world, seed, &work);
     let stated = |map: &LightMap| Some(map.estimated_rmse(world.areas()));
-    let map = rounds::run(
-        world.slots(),
-        budget,
-        seed,
-        &work,
-        stated,
-        |_, _| false,
-        |r| baker.round(r),
-        |s| baker.compose(s),
-    )?;
+    let rounds = Rounds { len: world.slots(), budget, seed, work: &work, phase: Phase::Whole };
+    let map = rounds.run(stated, |_| false, |r| baker.round(r), |s| baker.compose(s))?;
     Ok(map.unwrap_or_else(|| Arc::new(LightMap::black(world.slots()))))
 }
 

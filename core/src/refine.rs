@@ -9,7 +9,7 @@ use crate::bake::Baker;
 use crate::job::{Budget, Canceled, Observer};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
-use crate::rounds;
+use crate::rounds::{Phase, Rounds};
 use crate::transport::Work;
 use crate::world::World;
 
@@ -42,7 +42,8 @@ pub(crate) fn refine_with(
         if sum.knows_variance() { blend(world, map, baker.compose(sum)) } else { map.clone() }
     };
     let stated = |map: &LightMap| Some(map.estimated_rmse(world.areas()));
-    rounds::run(world.slots(), budget, seed, work, stated, |_, _| false, |r| baker.round(r), compose)
+    let rounds = Rounds { len: world.slots(), budget, seed, work, phase: Phase::Whole };
+    rounds.run(stated, |_| false, |r| baker.round(r), compose)
 }
 
 /// The average of two independent estimates, object by object.

@@ -23,65 +23,92 @@ pub(crate) struct Round<'a> {
     pub begin: &'a dyn Fn(Pass, f32),
 }
 
-/// Runs rounds. `round` adds one to the accumulator; `compose` makes a light map of it, `stated` tells its
-/// error, `enough` whether more rounds are of use.
-#[expect(clippy::too_many_arguments, reason = "the parts of one loop, each named at its three calls")]
-pub(crate) fn run(
-    len: usize,
-    budget: &Budget,
-    seed: u64,
-    work: &Work,
-    stated: impl Fn(&LightMap) -> Option<f32>,
-    enough: impl Fn(&Accumulator, &LightMap) -> bool,
-    mut round: impl FnMut(&Round) -> Result<(Vec<glam::Vec3>, Vec<glam::Vec3>), Canceled>,
-    compose: impl Fn(&Accumulator) -> LightMap,
-) -> Result<Option<Arc<LightMap>>, Canceled> {
-    let observer = work.observer();
-    let mut sum = Accumulator::new(len);
-    let mut last: Option<Arc<LightMap>> = None;
-    let mut estimated_rmse = None;
-    for index in 0.. {
-        let left = budget.samples_per_element.saturating_sub(sum.samples());
-        let proposed = sum.samples().max(FIRST_SAMPLES).min(left);
-        let progress = |pass, round_samples, round_fraction| Progress {
-            pass,
-            samples_per_element: sum.samples(),
-            round_samples,
-            round_fraction,
-            rays: work.rays(),
-            estimated_rmse,
-        };
-        work.check()?;
-        if proposed == 0 {
-            break;
+/// What a run of rounds is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Phase {
+    /// The whole map.
+    Whole,
+    /// A part that comes first. Its samples do not count: the rest of the map is still out of date.
+    Part,
+    /// The whole map behind such a part: at least one sample is taken, whatever the observer plans, because a map of
+    /// old and new values must not stay.
+    Rest,
+}
+
+/// Rounds to be run.
+pub(crate) struct Rounds<'a> {
+    /// Slots of the map.
+    pub len: usize,
+    /// When to stop.
+    pub budget: &'a Budget,
+    /// Every round gets one of its own from it.
+    pub seed: u64,
+    /// Rays, cancel, observer.
+    pub work: &'a Work<'a>,
+    /// What they are for.
+    pub phase: Phase,
+}
+
+impl Rounds<'_> {
+    /// Runs them. `round` gives one independent estimate (direct, indirect), `compose` makes a light map of all, `stated`
+    /// tells its error, `enough` whether more rounds are of no use.
+    pub(crate) fn run(
+        &self,
+        stated: impl Fn(&LightMap) -> Option<f32>,
+        enough: impl Fn(&Accumulator) -> bool,
+        mut round: impl FnMut(&Round) -> Result<(Vec<glam::Vec3>, Vec<glam::Vec3>), Canceled>,
+        compose: impl Fn(&Accumulator) -> LightMap,
+    ) -> Result<Option<Arc<LightMap>>, Canceled> {
+        let Rounds { budget, work, phase, .. } = *self;
+        let observer = work.observer();
+        let mut sum = Accumulator::new(self.len);
+        let mut last: Option<Arc<LightMap>> = None;
+        let mut estimated_rmse = None;
+        for index in 0.. {
+            let left = budget.samples_per_element.saturating_sub(sum.samples());
+            let proposed = sum.samples().max(FIRST_SAMPLES).min(left);
+            let progress = |pass, round_samples, round_fraction| Progress {
+                pass,
+                samples_per_element: if phase == Phase::Part { 0 } else { sum.samples() },
+                round_samples,
+                round_fraction,
+                rays: work.rays(),
+                estimated_rmse,
+            };
+            work.check()?;
+            if proposed == 0 {
+                break;
+            }
+            let samples = observer.plan_round(&progress(Pass::Direct, proposed, 0.0), proposed).min(proposed);
+            let samples = if phase == Phase::Rest && index == 0 { samples.max(1) } else { samples };
+            if samples == 0 {
+                break;
+            }
+            let begin = |pass, fraction| observer.progress(&progress(pass, samples, fraction));
+            let (direct, indirect) =
+                round(&Round { samples, seed: subseed(self.seed, index), sum: &sum, begin: &begin })?;
+            sum.add(samples, &direct, &indirect);
+            let map = Arc::new(compose(&sum));
+            if sum.knows_variance() {
+                estimated_rmse = stated(&map);
+            }
+            let done = Progress {
+                pass: Pass::FinalGather,
+                samples_per_element: if phase == Phase::Part { 0 } else { sum.samples() },
+                round_samples: samples,
+                round_fraction: 1.0,
+                rays: work.rays(),
+                estimated_rmse,
+            };
+            observer.progress(&done);
+            observer.snapshot(&map, &done);
+            let reached = matches!((budget.target_rmse, estimated_rmse), (Some(target), Some(rmse)) if rmse <= target);
+            let enough = reached || enough(&sum);
+            last = Some(map);
+            if enough {
+                break;
+            }
         }
-        let samples = observer.plan_round(&progress(Pass::Direct, proposed, 0.0), proposed).min(proposed);
-        if samples == 0 {
-            break;
-        }
-        let begin = |pass, fraction| observer.progress(&progress(pass, samples, fraction));
-        let (direct, indirect) = round(&Round { samples, seed: subseed(seed, index), sum: &sum, begin: &begin })?;
-        sum.add(samples, &direct, &indirect);
-        let map = Arc::new(compose(&sum));
-        if sum.knows_variance() {
-            estimated_rmse = stated(&map);
-        }
-        let done = Progress {
-            pass: Pass::FinalGather,
-            samples_per_element: sum.samples(),
-            round_samples: samples,
-            round_fraction: 1.0,
-            rays: work.rays(),
-            estimated_rmse,
-        };
-        observer.progress(&done);
-        observer.snapshot(&map, &done);
-        let reached = matches!((budget.target_rmse, estimated_rmse), (Some(target), Some(rmse)) if rmse <= target);
-        let enough = reached || enough(&sum, &map);
-        last = Some(map);
-        if enough {
-            break;
-        }
+        Ok(last)
     }
-    Ok(last)
 }

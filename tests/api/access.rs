@@ -145,8 +145,11 @@ async fn metrics_tell_what_happens() {
     let scene = server.baked_room("?samples_per_element=4").await;
     server.get("/v1/scenes/nothing").await;
     server.post_json(&format!("{}/edits", path_of(&scene)), &json!({ "op": "nothing" })).await;
+    let open = server.request(Method::GET, "/metrics").header("accept", "application/openmetrics-text; version=1.0.0");
+    let open = Answer::of(open.send().await.unwrap()).await;
+    assert!(open.status == 200 && open.header("content-type").starts_with("application/openmetrics-text"));
     let answer = server.get("/metrics").await;
-    assert!(answer.status == 200 && answer.header("content-type").starts_with("application/openmetrics-text"));
+    assert!(answer.status == 200 && answer.header("content-type").starts_with("text/plain; version=0.0.4"));
     let text = String::from_utf8(answer.body).unwrap();
     let id = scene["id"].as_str().unwrap();
     for line in [

@@ -164,3 +164,26 @@ fn objects_without_triangles_can_be_edited() {
         assert_eq!(new.indirect, old.indirect);
     }
 }
+
+#[test]
+fn lights_that_all_change_alike_need_no_ray() {
+    struct Rays(std::sync::atomic::AtomicU64);
+    impl rebake_core::Observer for Rays {
+        fn snapshot(&self, _: &Arc<LightMap>, progress: &rebake_core::Progress) {
+            self.0.store(progress.rays, std::sync::atomic::Ordering::Relaxed);
+        }
+    }
+    let before = world(room_objects(0.7), 0.3);
+    let old = bake(&before, &budget(16), 1, &Unobserved).expect("nobody cancels");
+    let lamp = before.lights().next().expect("a lamp").light.clone();
+    let color = Some(lamp.color * Vec3::new(0.5, 2.0, 0.0));
+    let dim = Edit::Relight { lights: vec![Relight { light: lamp.name, color, intensity: None }] };
+    let transition = before.apply(&[dim]).expect("a relight");
+    let rays = Rays(std::sync::atomic::AtomicU64::new(1));
+    let new = update(&transition, &old, &budget(16), None, 2, &rays).expect("nobody cancels");
+    assert_eq!(rays.0.into_inner(), 0);
+    for i in 0..old.len() {
+        assert_eq!(new.direct[i], old.direct[i] * Vec3::new(0.5, 2.0, 0.0));
+        assert_eq!(new.indirect[i], old.indirect[i] * Vec3::new(0.5, 2.0, 0.0));
+    }
+}

@@ -166,7 +166,7 @@ fn inserting_and_removing_comes_back() {
                 world = world.with_trees(trees).expect("nothing has changed since");
             }
         }
-        map = refine(&world, &map, &budget(32), 500 + turn, &Unobserved).expect("nobody cancels");
+        map = refine(&world, &map, &budget(64), 500 + turn, &Unobserved).expect("nobody cancels");
         assert_finite("insert and remove", &map);
         stated.push(f64::from(map.estimated_rmse(world.areas())));
     }

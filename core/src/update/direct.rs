@@ -12,6 +12,9 @@ use crate::transport::direct::{SHADOW_END, below_horizon};
 use crate::transport::{DirectLight, Work};
 use crate::world::{Emitter, Transition, World};
 
+/// Relative difference up to which lights have changed by the same factor: a few units in the last place of `f32`.
+const SAME_FACTOR: f32 = 1e-6;
+
 /// One light in both worlds.
 struct Pair<'a> {
     /// Geometry of the light, the same in both worlds.
@@ -60,6 +63,26 @@ impl<'a> DirectChange<'a> {
         }
         let triangles: Vec<[Vec3; 3]> = transition.changed_triangles();
         DirectChange { transition, pairs, sphere: Spheres::new(&triangles).bounding() }
+    }
+
+    /// The factor, per channel, by which all lights have become brighter; none where they differ in that.
+    pub(super) fn common_factor(&self) -> Option<Vec3> {
+        let (before, after) = (&self.transition.before.emitters, &self.transition.after.emitters);
+        let lights = self.pairs.iter().map(|p| (p.before, p.after)).chain([(before.environment, after.environment)]);
+        let mut factor = [None::<f32>; 3];
+        for (before, after) in lights {
+            for (channel, known) in factor.iter_mut().enumerate() {
+                let (before, after) = (before[channel], after[channel]);
+                match *known {
+                    _ if before == 0.0 && after == 0.0 => {}
+                    _ if before == 0.0 => return None,
+                    None => *known = Some(after / before),
+                    Some(known) if (known * before - after).abs() > SAME_FACTOR * after.abs() => return None,
+                    Some(_) => {}
+                }
+            }
+        }
+        Some(Vec3::from(factor.map(|f| f.unwrap_or(1.0))))
     }
 
     /// Adds ΔD of all rows of `extent` to `out`.

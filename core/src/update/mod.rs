@@ -22,17 +22,20 @@ use self::extent::Extent;
 use crate::accumulate::Accumulator;
 use crate::bake::Baker;
 use crate::focus::Focus;
-use crate::job::{Budget, Canceled, Observer, Pass};
+use crate::job::{Budget, Canceled, Observer, Pass, Progress};
 use crate::lightmap::LightMap;
 use crate::random::{Pcg32, subseed};
 use crate::refine::refine_with;
-use crate::rounds::{self, Round};
+use crate::rounds::{Phase, Round, Rounds};
 use crate::solve::{Exchange, Rows, Source, Subset};
 use crate::transport::{Surfel, Work};
 use crate::world::{Transition, World};
 
-/// Samples of the propagation per sample of the source.
-const PROPAGATION_SAMPLES: u32 = 8;
+/// Samples of the propagation per representative and round: at least, at most.
+const PROPAGATION_SAMPLES: (u32, u32) = (8, 64);
+
+/// Part of them that a change gets that drowns in the noise of the old map.
+const LEAST_WEIGHT: f64 = 0.25;
 
 /// Part of the old map's variance below which that of the change is settled: more samples of it would not show.
 const SETTLED: f64 = 0.25;
@@ -58,6 +61,9 @@ pub fn update(
     let work = Work::new(observer);
     let world = &transition.after;
     let updater = Updater::new(transition, map, &work);
+    if let Some(factor) = updater.dimmed() {
+        return Ok(updater.dim(factor));
+    }
     let seed = subseed(seed, 0xed17);
     let first = focus.map(|f| updater.look_first(f, budget, subseed(seed, 0xf0c), &work)).transpose()?.flatten();
     let extents = updater.extents(|_| true);
@@ -80,18 +86,18 @@ pub fn update(
     // What the old map brings along in noise no number of samples of the change takes away.
     let mean = |variance: &[f32]| updater.mean(variance);
     let carried = mean(&updater.old.variance);
-    let enough = |s: &Accumulator, _: &LightMap| {
-        budget.target_rmse.is_some() && s.knows_variance() && mean(&s.variance()) < SETTLED * carried
-    };
-    let result = rounds::run(world.slots(), budget, seed, &work, stated, enough, round, compose)?;
+    let enough =
+        |s: &Accumulator| budget.target_rmse.is_some() && s.knows_variance() && mean(&s.variance()) < SETTLED * carried;
+    let phase = if first.is_some() { Phase::Rest } else { Phase::Whole };
+    let rounds = Rounds { len: world.slots(), budget, seed, work: &work, phase };
+    let result = rounds.run(stated, enough, round, compose)?;
     let result = match (&result, budget.target_rmse) {
         (Some(map), Some(target)) if map.estimated_rmse(world.areas()) > target && baker.get().is_none() => {
             refine_with(world, map, budget, seed, &work)?.or(result)
         }
         _ => result,
     };
-    let seen = || first.as_ref().map(|f| Arc::clone(&f.map));
-    Ok(result.or_else(seen).unwrap_or_else(|| Arc::new(transition.carry_over(map))))
+    Ok(result.unwrap_or_else(|| Arc::new(transition.carry_over(map))))
 }
 
 /// What was brought up to date first.
@@ -170,6 +176,34 @@ impl<'a> Updater<'a> {
         sum / self.static_rows.iter().map(|&slot| area(slot)).sum::<f64>().max(f64::MIN_POSITIVE)
     }
 
+    /// The common factor of all lights, where nothing else has changed.
+    fn dimmed(&self) -> Option<Vec3> {
+        let changed = self.transition.moves_geometry()
+            || !self.transition.new_rows.is_empty()
+            || self.repaint.iter().any(|r| *r != Vec3::ZERO);
+        if changed { None } else { self.direct.common_factor() }
+    }
+
+    /// Light is linear in the lights: no ray is needed where all of them change alike.
+    fn dim(&self, factor: Vec3) -> Arc<LightMap> {
+        let mut map = self.old.clone();
+        map.direct.iter_mut().chain(&mut map.indirect).for_each(|v| *v *= factor);
+        let square = factor.length_squared() / 3.0;
+        map.variance.iter_mut().for_each(|v| *v *= square);
+        let map = Arc::new(map);
+        let progress = Progress {
+            pass: Pass::Direct,
+            samples_per_element: 1,
+            round_samples: 0,
+            round_fraction: 1.0,
+            rays: 0,
+            estimated_rmse: Some(map.estimated_rmse(self.world.areas())),
+        };
+        self.work.observer().progress(&progress);
+        self.work.observer().snapshot(&map, &progress);
+        map
+    }
+
     /// Element by element where `is_wanted` says so, and S only near the edit; elsewhere on the subset.
     fn extents(&self, is_wanted: impl Fn(u32) -> bool) -> Extents {
         let is_near = self.source.is_near();
@@ -203,16 +237,8 @@ impl<'a> Updater<'a> {
         };
         let budget = Budget { samples_per_element: budget.samples_per_element.min(FOCUS_SAMPLES), target_rmse: None };
         // The rest of the map is out of date: nothing can be stated about the whole.
-        let map = rounds::run(
-            self.world.slots(),
-            &budget,
-            seed,
-            work,
-            |_| None,
-            |_, _| false,
-            |r| self.round(r, &extents),
-            compose,
-        )?;
+        let rounds = Rounds { len: self.world.slots(), budget: &budget, seed, work, phase: Phase::Part };
+        let map = rounds.run(|_| None, |_| false, |r| self.round(r, &extents), compose)?;
         Ok(map.map(|map| First { map, is_seen, samples: samples.get() }))
     }
 
@@ -305,13 +331,23 @@ impl<'a> Updater<'a> {
             change + self.repaint[s.part as usize] * s.interpolate(elements, &self.old_total)
         };
         let source = Source { radiance: change, sky: Vec3::ZERO };
-        let samples = (round.samples * 2).clamp(PROPAGATION_SAMPLES, 64);
+        let samples = (round.samples * 2).clamp(PROPAGATION_SAMPLES.0, PROPAGATION_SAMPLES.1);
+        let samples = (f64::from(samples) * self.weight_of(&seen_by_old)).ceil() as u32;
         let seed = subseed(round.seed, 0x9409);
         let exchange = Exchange::trace(world, &self.subset, &self.rows, &source, samples, seed, self.work)?;
         let bounces = exchange.to_representatives(&self.subset, &exchange.all_bounces(&exchange.first));
         let mut field = self.subset.interpolate(&bounces);
         world.validity.fill(&mut field);
         Ok(field)
+    }
+
+    /// How well a change has to be known beside the noise that the old map has anyway, up to 1.
+    fn weight_of(&self, change: &[Vec3]) -> f64 {
+        let square = |v: &Vec3| v.length_squared() / 3.0;
+        let squares: Vec<f32> = change.iter().map(square).collect();
+        let carried = self.mean(&self.old.variance);
+        let ratio = if carried > 0.0 { self.mean(&squares) / carried } else { 1.0 };
+        if ratio.is_finite() { ratio.clamp(LEAST_WEIGHT, 1.0) } else { 1.0 }
     }
 
     fn new_flags(&self) -> Vec<bool> {

@@ -2,12 +2,14 @@
 
 use std::sync::Arc;
 
+use glam::Vec3;
+
 use super::{Placed, World};
 use crate::scene::Light;
 
 impl World {
     /// Whether a light map of `other` is right for this world as it is: the same elements in the same slots, the same
-    /// surfaces, albedos and lights. Names of objects, the order of things, trees and free slots do not count.
+    /// surfaces (up to rounding), albedos and lights. Names of objects, the order of things, trees and free slots do not count.
     pub fn is_lit_like(&self, other: &World) -> bool {
         self.scene.origin == other.scene.origin
             && self.spacing == other.spacing
@@ -47,11 +49,19 @@ impl World {
             && materials == other_materials
             && (0..materials).all(|m| parts(self, a, m) == parts(other, b, m))
             && (Arc::ptr_eq(&a.surface, &b.surface)
-                || a.surface.vertices == b.surface.vertices
-                    && a.surface.normals == b.surface.normals
+                || are_close(&a.surface.vertices, &b.surface.vertices, self.epsilon)
+                    && are_close(&a.surface.normals, &b.surface.normals, SAME_NORMAL)
                     && a.surface.triangles == b.surface.triangles
                     && a.surface.triangle_materials == b.surface.triangle_materials)
     }
+}
+
+/// Largest difference between unit normals that are the same: a few roundings.
+const SAME_NORMAL: f32 = 1e-5;
+
+/// Moving there and back rounds twice; rays start off a surface by as much as that.
+fn are_close(a: &[Vec3], b: &[Vec3], tolerance: f32) -> bool {
+    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (*a - *b).abs().max_element() <= tolerance)
 }
 
 #[cfg(test)]

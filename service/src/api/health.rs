@@ -1,8 +1,8 @@
-//! Liveness, readiness, metrics, what is not there yet, and what problems mean.
+//! Liveness, readiness, metrics, and what problems mean.
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::header;
+use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
 
 use super::extract::ApiPath;
@@ -23,16 +23,25 @@ pub(super) async fn ready(State(app): Shared) -> ApiResult<Json<Health>> {
     Ok(Json(Health { status: "ok".to_owned() }))
 }
 
-/// Metrics for Prometheus (OpenMetrics text).
+const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+/// The same lines are good as Prometheus' own format, for whoever does not ask for OpenMetrics.
+const PROMETHEUS_TEXT: &str = "text/plain; version=0.0.4; charset=utf-8";
+
+/// Metrics for Prometheus, as OpenMetrics where that is accepted.
 #[utoipa::path(
     get, path = "/metrics", tag = "service", operation_id = "metrics",
-    responses((status = 200, body = String, content_type = "application/openmetrics-text"))
+    responses((status = 200, content(
+        (String = "text/plain"),
+        (String = "application/openmetrics-text")
+    )))
 )]
-pub(super) async fn metrics(State(app): Shared) -> ApiResult<Response> {
-    const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+pub(super) async fn metrics(State(app): Shared, headers: HeaderMap) -> ApiResult<Response> {
+    let accepts = |value: &HeaderValue| value.to_str().is_ok_and(|v| v.contains("application/openmetrics-text"));
+    let is_open = headers.get_all(header::ACCEPT).iter().any(accepts);
     let its_app = app.clone();
     let text = app.compute.run(move || its_app.metrics_text()).await?.map_err(Problem::internal)?;
-    Ok(([(header::CONTENT_TYPE, CONTENT_TYPE)], text).into_response())
+    Ok(([(header::CONTENT_TYPE, if is_open { OPEN_METRICS } else { PROMETHEUS_TEXT })], text).into_response())
 }
 
 /// What a kind of problem means.
