@@ -69,13 +69,13 @@ impl Accumulator {
     /// With the means a and b of n and m samples, (a − b)² n m / (n + m)² estimates the variance of the mean of all.
     fn difference(&self, samples: u32, direct: &[Vec3], indirect: &[Vec3]) -> f64 {
         let (n, m) = (f64::from(self.samples), f64::from(samples));
-        let of_chunk = |((d, i), (direct, indirect)): ((&[Vec3], &[Vec3]), (&[Vec3], &[Vec3]))| -> f64 {
-            let slots = d.iter().zip(i).zip(direct.iter().zip(indirect));
-            slots.map(|((d, i), (x, y))| ((*d + *i).as_dvec3() / n - (*x + *y).as_dvec3()).length_squared() / 3.0).sum()
+        let square = |k: usize| {
+            let before = (self.direct[k] + self.indirect[k]).as_dvec3() / n;
+            (before - (direct[k] + indirect[k]).as_dvec3()).length_squared() / 3.0
         };
-        let sums = self.direct.par_chunks(CHUNK).zip(self.indirect.par_chunks(CHUNK));
-        let round = direct.par_chunks(CHUNK).zip(indirect.par_chunks(CHUNK));
-        let squares: Vec<f64> = sums.zip(round).map(of_chunk).collect();
+        let len = self.direct.len();
+        let of_chunk = |c: usize| (c * CHUNK..len.min((c + 1) * CHUNK)).map(square).sum::<f64>();
+        let squares: Vec<f64> = (0..len.div_ceil(CHUNK)).into_par_iter().map(of_chunk).collect();
         squares.into_iter().sum::<f64>() * n * m / ((n + m) * (n + m))
     }
 

@@ -46,6 +46,9 @@ impl Hidden {
     }
 }
 
+/// What was found for one object: nothing where nothing has changed; triangles with whether they are cut.
+type Seen = (Option<Hidden>, Vec<(u32, bool)>);
+
 /// Boxes in which geometry has changed; `None` is everywhere.
 pub(super) type Touched<'a> = Option<&'a [(Vec3, Vec3)]>;
 
@@ -56,10 +59,10 @@ impl World {
         (LIFT * self.spacing).max(4.0 * self.epsilon)
     }
 
-    /// Asks anew where geometry has changed, and everywhere for objects in `ranges` of element slots.
+    /// Asks anew where geometry has changed, and everywhere for objects that are new.
     pub(super) fn look_around(&mut self, touched: Touched, is_new: impl Fn(&Placed) -> bool + Sync) {
         let world = &*self;
-        let found: Vec<(Option<Hidden>, Vec<(u32, bool)>)> = world
+        let found: Vec<Seen> = world
             .placed
             .par_iter()
             .map(|placed| {
