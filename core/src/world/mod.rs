@@ -8,6 +8,7 @@ mod coarse;
 mod emitters;
 mod geometry;
 mod info;
+mod motion;
 mod probe;
 mod same;
 mod sight;
