@@ -92,11 +92,11 @@ pub fn paper_update(
     if !gone.is_empty() {
         let scene = ObjectScene::new(before, &gone);
         state.darken(scene.rows.iter().filter(|&&slot| !before.is_valid(slot as usize)));
-        steps::remove(&scene, &mut state, &after.validity, options, subseed(seed, 1), &work)?;
+        steps::remove(&scene, &mut state, options, subseed(seed, 1), &work)?;
     }
     if !come.is_empty() {
         let scene = ObjectScene::new(after, &come);
-        steps::insert(&scene, &mut state, &before.validity, options, subseed(seed, 2), &work)?;
+        steps::insert(&scene, &mut state, options, subseed(seed, 2), &work)?;
     }
     Ok(PaperUpdate { map: state.finish(after), rays: work.rays() })
 }

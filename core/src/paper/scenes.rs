@@ -6,7 +6,7 @@ use std::sync::Arc;
 use glam::Vec3;
 
 use crate::bvh::{BuildQuality, Bvh, TriangleMask};
-use crate::world::{Placed, Transition, Trees, World};
+use crate::world::{Placed, Transition, Trees, Validity, World};
 
 /// Keys of objects.
 pub(super) type Keys = BTreeSet<u32>;
@@ -17,6 +17,8 @@ pub(super) struct ObjectScene<'a> {
     pub with: &'a World,
     /// S, as trees.
     pub without: Trees,
+    /// Of the elements of S while O is away; it may be neither that before nor that after an edit.
+    pub validity: Validity,
     /// O.
     pub object: Bvh,
     /// Sphere around O: centre, radius (metres).
@@ -49,8 +51,11 @@ impl<'a> ObjectScene<'a> {
             let placed = with.placed.iter().filter(move |p| keys.contains(&p.key) == inside);
             placed.flat_map(|p| p.placement.elements.clone()).filter(|&i| with.areas()[i as usize] > 0.0)
         };
+        let bounds = with.placed.iter().filter(|p| keys.contains(&p.key)).map(|p| p.surface.bounds());
+        let bounds = bounds.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).unwrap_or((Vec3::INFINITY, Vec3::NEG_INFINITY));
         ObjectScene {
             with,
+            validity: with.validity_among(&without, bounds),
             without,
             object: Bvh::build(&corners, &ids, BuildQuality::Good),
             sphere: bounding_sphere(&corners),

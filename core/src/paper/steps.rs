@@ -11,17 +11,16 @@ use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
 use crate::transport::Work;
 use crate::transport::direct::direct_of;
-use crate::world::Validity;
 
 /// Samples of the object's own elements per sample of the scene's: "generated from scratch, which calls for more
 /// samples" (section 3.5).
 const OBJECT_SAMPLES: u32 = 4;
 
-/// A light map over slots from values of rows, ready to be looked up.
-fn scatter(rows: &[u32], values: impl Iterator<Item = Vec3>, len: usize, validity: &Validity) -> Vec<Vec3> {
+/// A light map over `len` slots from values of the rows of S, ready to be looked up.
+fn scatter(scene: &ObjectScene, values: impl Iterator<Item = Vec3>, len: usize) -> Vec<Vec3> {
     let mut map = vec![Vec3::ZERO; len];
-    rows.iter().zip(values).for_each(|(&slot, value)| map[slot as usize] = value);
-    validity.fill(&mut map);
+    scene.rows.iter().zip(values).for_each(|(&slot, value)| map[slot as usize] = value);
+    scene.validity.fill(&mut map);
     map
 }
 
@@ -45,20 +44,19 @@ impl First {
     fn bounced(
         &self,
         scene: &ObjectScene,
-        validity: &Validity,
         len: usize,
         options: &PaperOptions,
         seed: u64,
         work: &Work,
     ) -> Result<Vec<Vec3>, Canceled> {
         let both = self.direct.iter().zip(&self.reflected).map(|(d, r)| *d + *r);
-        let map = scatter(&scene.rows, both, len, validity);
+        let map = scatter(scene, both, len);
         let bounced = scene.bounce(&map, options.path_length, options.samples, seed, work)?;
         Ok(self.reflected.iter().zip(bounced).map(|(r, b)| *r + b).collect())
     }
 }
 
-/// Brings S to S ∪ O. `validity` is that of S.
+/// Brings S to S ∪ O.
 ///
 /// Equation (4): `L̃₀ = L̃_S − 𝒪[L_e] + T_S* 𝒪[L_e + T_{S∪O} L_e]`, the first bounce of `T_S* 𝒪[L_e]` being direct light
 /// that is taken out again; then `L̃_{n+1} = T_S* 𝒪[L̃_n]`. Equation (3): `L_0 = L_S` and `L_{n+1} = T_S* 𝒪[L_n]`, all
@@ -66,7 +64,6 @@ impl First {
 pub(super) fn insert(
     scene: &ObjectScene,
     state: &mut State,
-    validity: &Validity,
     options: &PaperOptions,
     seed: u64,
     work: &Work,
@@ -75,12 +72,12 @@ pub(super) fn insert(
     let full = options.equation == Equation::Full;
     let all = full.then(|| {
         let values = rows.iter().map(|&slot| state.direct[slot as usize] + state.indirect[slot as usize]);
-        scatter(rows, values, len, validity)
+        scatter(scene, values, len)
     });
     let lights = if full { Sampled::OnObject } else { Sampled::Everywhere };
     let field = Field { map: all.as_deref(), lights, on_object: false };
     let first = First::new(scene, &field, options.samples, seed, work)?;
-    let change = first.bounced(scene, validity, len, options, seed, work)?;
+    let change = first.bounced(scene, len, options, seed, work)?;
     for (k, &slot) in rows.iter().enumerate() {
         state.direct[slot as usize] += first.direct[k];
         state.indirect[slot as usize] += change[k];
@@ -89,10 +86,10 @@ pub(super) fn insert(
     let of_full = |k: usize| first.direct[k] + change[k];
     let of_indirect = |k: usize| state.indirect[rows[k] as usize];
     let values = (0..rows.len()).map(|k| if full { of_full(k) } else { of_indirect(k) });
-    let mut last = scatter(rows, values, len, validity);
+    let mut last = scatter(scene, values, len);
     let done = if full { 1 } else { 0 };
     for n in done + 1..=options.iterations {
-        last = iterate(scene, state, &last, validity, options, subseed(seed, u64::from(n)), work)?;
+        last = iterate(scene, state, &last, options, subseed(seed, u64::from(n)), work)?;
     }
     object_map(scene, state, options, subseed(seed, 0x0b), work)
 }
@@ -102,7 +99,6 @@ fn iterate(
     scene: &ObjectScene,
     state: &mut State,
     last: &[Vec3],
-    validity: &Validity,
     options: &PaperOptions,
     seed: u64,
     work: &Work,
@@ -110,19 +106,17 @@ fn iterate(
     let (rows, len) = (&scene.rows, last.len());
     let field = Field { map: Some(last), lights: Sampled::Nowhere, on_object: false };
     let source = scene.apply_object(&field, options.samples, seed, work)?;
-    let map = scatter(rows, source.iter().map(|(light, _)| *light), len, validity);
+    let map = scatter(scene, source.iter().map(|(light, _)| *light), len);
     let bounced = scene.bounce(&map, options.path_length, options.samples, seed, work)?;
     let next: Vec<Vec3> = source.iter().zip(bounced).map(|((light, _), b)| *light + b).collect();
     rows.iter().zip(&next).for_each(|(&slot, v)| state.indirect[slot as usize] += *v);
-    Ok(scatter(rows, next.into_iter(), len, validity))
+    Ok(scatter(scene, next.into_iter(), len))
 }
 
-/// Brings S ∪ O to S: the operators of the insertion, once, on the known map of S ∪ O (section 3.6). `validity` is
-/// that of S.
+/// Brings S ∪ O to S: the operators of the insertion, once, on the known map of S ∪ O (section 3.6).
 pub(super) fn remove(
     scene: &ObjectScene,
     state: &mut State,
-    validity: &Validity,
     options: &PaperOptions,
     seed: u64,
     work: &Work,
@@ -134,7 +128,7 @@ pub(super) fn remove(
     let lights = if options.equation == Equation::Full { Sampled::Nowhere } else { Sampled::Everywhere };
     let field = Field { map: Some(&known), lights, on_object: true };
     let first = First::new(scene, &field, options.samples, seed, work)?;
-    let change = first.bounced(scene, validity, state.direct.len(), options, seed, work)?;
+    let change = first.bounced(scene, state.direct.len(), options, seed, work)?;
     for (k, &slot) in scene.rows.iter().enumerate() {
         state.direct[slot as usize] -= first.direct[k];
         state.indirect[slot as usize] -= change[k];

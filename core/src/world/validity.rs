@@ -6,7 +6,7 @@ use std::ops::Range;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Placed, World};
+use super::{Placed, Trees, World};
 use crate::bvh::Ray;
 use crate::random::Pcg32;
 use crate::sampling::cosine_hemisphere;
@@ -107,6 +107,15 @@ impl Validity {
             let sum: f32 = fill.sources.iter().map(|&s| values[s as usize]).sum();
             values[fill.target as usize] = sum / fill.sources.len() as f32;
         }
+    }
+}
+
+impl World {
+    /// Validity while other trees stand in place of the world's, which differ from them within `bounds`.
+    pub(crate) fn validity_among(&self, trees: &Trees, bounds: (Vec3, Vec3)) -> Validity {
+        let world = World { trees: trees.clone(), ..self.clone() };
+        let grown = (bounds.0 - self.spacing, bounds.1 + self.spacing);
+        Validity::updated(&self.validity, &world, &[], &[grown])
     }
 }
 
