@@ -8,79 +8,7 @@ use super::types::finite;
 use crate::jobs::queue;
 use crate::state::Ids;
 
-/// What a job does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum JobKind {
-    /// Lights a scene from scratch, after an upload.
-    Bake,
-    /// Brings the light map up to date after an edit.
-    Edit,
-}
-
-/// Where a job stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum JobState {
-    /// Waits for its turn.
-    Queued,
-    /// Runs.
-    Running,
-    /// Waits for a client to resume it.
-    Paused,
-    /// Done.
-    Succeeded,
-    /// Ended by an error.
-    Failed,
-    /// Ended by a client or by the end of the service.
-    Canceled,
-}
-
-impl From<queue::JobState> for JobState {
-    fn from(state: queue::JobState) -> JobState {
-        match state {
-            queue::JobState::Queued => JobState::Queued,
-            queue::JobState::Running => JobState::Running,
-            queue::JobState::Paused => JobState::Paused,
-            queue::JobState::Succeeded => JobState::Succeeded,
-            queue::JobState::Failed => JobState::Failed,
-            queue::JobState::Canceled => JobState::Canceled,
-        }
-    }
-}
-
-/// Whose turn comes sooner. Nothing waits for ever: what waits long counts as higher.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum JobPriority {
-    /// When nothing else waits.
-    Low,
-    /// As most.
-    #[default]
-    Normal,
-    /// Before the others.
-    High,
-}
-
-impl From<queue::Priority> for JobPriority {
-    fn from(priority: queue::Priority) -> JobPriority {
-        match priority {
-            queue::Priority::Low => JobPriority::Low,
-            queue::Priority::Normal => JobPriority::Normal,
-            queue::Priority::High => JobPriority::High,
-        }
-    }
-}
-
-impl From<JobPriority> for queue::Priority {
-    fn from(priority: JobPriority) -> queue::Priority {
-        match priority {
-            JobPriority::Low => queue::Priority::Low,
-            JobPriority::Normal => queue::Priority::Normal,
-            JobPriority::High => queue::Priority::High,
-        }
-    }
-}
+pub use crate::jobs::queue::{JobKind, JobState, Priority as JobPriority};
 
 /// The work that brings a light map up to date.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
@@ -126,14 +54,11 @@ impl Job {
         Job {
             id: ids.job(job.number),
             scene: scene.to_owned(),
-            kind: match job.kind {
-                queue::JobKind::Bake => JobKind::Bake,
-                queue::JobKind::Edit => JobKind::Edit,
-            },
-            state: job.state.into(),
+            kind: job.kind,
+            state: job.state,
             cancel_requested: job.cancel_requested,
             pause_requested: job.pause_requested,
-            priority: job.priority.into(),
+            priority: job.priority,
             merged_into: job.merged_into.map(|into| ids.job(into)),
             progress: JobProgress {
                 fraction: progress.fraction,

@@ -99,30 +99,7 @@ pub(super) struct Asset {
     pub(super) asset: String,
 }
 
-/// Where a job stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum JobState {
-    /// Waits for its turn.
-    Queued,
-    /// Runs.
-    Running,
-    /// Waits for somebody to resume it.
-    Paused,
-    /// Done.
-    Succeeded,
-    /// Ended by an error.
-    Failed,
-    /// Ended by a client.
-    Canceled,
-}
-
-impl JobState {
-    /// Whether nothing more will happen.
-    pub fn has_ended(self) -> bool {
-        matches!(self, JobState::Succeeded | JobState::Failed | JobState::Canceled)
-    }
-}
+pub use crate::jobs::queue::JobState;
 
 /// A job.
 #[derive(Clone, Debug, Deserialize)]

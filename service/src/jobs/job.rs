@@ -2,6 +2,7 @@
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 /// Number of a job, in the order of arrival.
 pub type JobNumber = u64;
@@ -9,11 +10,12 @@ pub type JobNumber = u64;
 pub type SceneNumber = u64;
 
 /// What a job does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
 pub enum JobKind {
-    /// Lights a scene from scratch.
+    /// Lights a scene from scratch, after an upload.
     Bake,
-    /// Brings a light map up to date after an edit.
+    /// Brings the light map up to date after an edit.
     Edit,
 }
 
@@ -28,7 +30,8 @@ impl JobKind {
 }
 
 /// Where a job stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
 pub enum JobState {
     /// Waits for its turn.
     Queued,
@@ -73,8 +76,10 @@ impl JobState {
     }
 }
 
-/// Whose turn comes sooner.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+/// Whose turn comes sooner. Nothing waits for ever: what waits long counts as higher.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+#[schema(as = JobPriority)]
 pub enum Priority {
     /// When nothing else waits.
     Low,
