@@ -46,7 +46,7 @@ impl Store for Disk {
             let sql = "SELECT blob FROM scenes WHERE number = ?1";
             files.extend(t.query_row(sql, [number], |row| row.get::<_, BlobId>(0)).optional()?);
             // Jobs that are open end with their scene.
-            let sql = "UPDATE jobs SET is_open = 0, record = json_set(record, '$.job.state', 'Canceled',
+            let sql = "UPDATE jobs SET is_open = 0, record = json_set(record, '$.job.state', 'canceled',
                 '$.job.finished_at', ?2) WHERE scene = ?1 AND is_open";
             t.execute(sql, (number, jiff::Timestamp::now().to_string()))?;
             t.execute("DELETE FROM scenes WHERE number = ?1", [number])?;
