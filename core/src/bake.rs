@@ -12,7 +12,7 @@ use crate::random::{Pcg32, subseed};
 use crate::rounds::{Phase, Round, Rounds};
 use crate::solve::{Exchange, Rows, Source, Subset};
 use crate::transport::direct::direct_of;
-use crate::transport::{Field, Rough, Surfel, Work, gather};
+use crate::transport::{Effort, Field, Rough, Surfel, Work, gather};
 use crate::world::World;
 
 /// Samples per representative and round: at least, at most.
@@ -62,7 +62,12 @@ impl<'a> Baker<'a> {
     pub(crate) fn round(&self, round: &Round) -> Result<(Vec<Vec3>, Vec<Vec3>), Canceled> {
         let (world, work) = (self.world, self.work);
         (round.begin)(Pass::Direct, 0.0);
-        let direct = self.scatter(&direct_of(world, &self.slots, round.samples, round.seed, work)?);
+        // Earlier rounds choose the number of samples, never what they find: the mean stays free of bias.
+        let effort = match round.sum.knows_variance() {
+            true => Effort::new(world, &round.sum.variance()),
+            false => Effort::default(),
+        };
+        let direct = self.scatter(&direct_of(world, &self.slots, round.samples, &effort, round.seed, work)?);
         (round.begin)(Pass::Propagation, 0.25);
         // Each round solves anew, from its own direct light: rounds stay independent, so that their scatter is the
         // error of their mean, and since all is linear the mean is the solution of the mean direct light.
@@ -71,7 +76,7 @@ impl<'a> Baker<'a> {
         let (exchange, bounces) = self.solve(&filled_direct, round)?;
         let field = Field { direct: &filled_direct, indirect: &bounces, rough: self.rough()? };
         (round.begin)(Pass::FinalGather, 0.4);
-        let indirect = gather(world, &field, &self.slots, round.samples, round.seed, work)?;
+        let indirect = gather(world, &field, &self.slots, round.samples, &effort, round.seed, work)?;
         let mut indirect = self.scatter(&indirect);
         // The gather is better than the solution that it looked up: at all elements, not on a subset. What it found anew
         // has bounces of its own.
@@ -108,7 +113,8 @@ impl<'a> Baker<'a> {
         if let Some(rough) = self.rough.get() {
             return Ok(rough);
         }
-        let mut direct = self.scatter(&direct_of(self.world, &self.slots, ROUGH_SAMPLES, self.seed, self.work)?);
+        let mut direct =
+            self.scatter(&direct_of(self.world, &self.slots, ROUGH_SAMPLES, &Effort::default(), self.seed, self.work)?);
         self.world.validity.fill(&mut direct);
         Ok(self.rough.get_or_init(|| Rough::new(self.world, &direct)))
     }

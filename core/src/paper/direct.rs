@@ -6,7 +6,7 @@ use super::scenes::ObjectScene;
 use crate::bvh::Ray;
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
-use crate::transport::direct::{SHADOW_END, below_horizon, visible_weight};
+use crate::transport::direct::{SHADOW_END, visible_weight};
 use crate::transport::{DirectLight, Work};
 use crate::world::Emitter;
 
@@ -23,7 +23,7 @@ impl ObjectScene<'_> {
             let mut rng = Pcg32::new(seed, u64::from(slot));
             let mut sum = Vec3::ZERO;
             for ((emitter, &count), &own) in emitters.iter().zip(&counts.samples).zip(&of_object) {
-                if count == 0 || below_horizon(emitter, point, n) {
+                if count == 0 || emitter.is_below_horizon(point, n) {
                     continue;
                 }
                 let sequence = R2::new(&mut rng);

@@ -9,7 +9,7 @@ use crate::bvh::Ray;
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
-use crate::transport::Work;
+use crate::transport::{Effort, Work};
 use crate::transport::direct::direct_of;
 
 /// Samples of the object's own elements per sample of the scene's: "generated from scratch, which calls for more
@@ -145,7 +145,7 @@ fn object_map(
     work: &Work,
 ) -> Result<(), Canceled> {
     let (world, samples) = (scene.with, options.samples * OBJECT_SAMPLES);
-    let direct = direct_of(world, &scene.object_rows, samples, seed, work)?;
+    let direct = direct_of(world, &scene.object_rows, samples, &Effort::default(), seed, work)?;
     let full = options.equation == Equation::Full;
     let mut map = state.indirect.clone();
     if full {

@@ -13,7 +13,7 @@ use crate::bvh::{BuildQuality, Bvh, Hit, Ray};
 use crate::random::{Pcg32, R2};
 use crate::scene::LightKind;
 use crate::transport::DirectLight;
-use crate::transport::direct::{below_horizon, visible_weight};
+use crate::transport::direct::visible_weight;
 use crate::world::{Emitter, Placed, Shape, World};
 
 const NONE: u32 = u32::MAX;
@@ -65,7 +65,7 @@ impl<'a> Lights<'a> {
         let world = self.world;
         let mut sum = Vec3::ZERO;
         for (emitter, &count) in world.emitters.list.iter().zip(&self.counts.samples) {
-            if count == 0 || below_horizon(emitter, point, n) {
+            if count == 0 || emitter.is_below_horizon(point, n) {
                 continue;
             }
             let sequence = R2::new(rng);
@@ -89,21 +89,19 @@ impl<'a> Lights<'a> {
         self.met_with(n, ray, hit, share)
     }
 
-    /// One sample of one light chosen by power, at a vertex of a path; its share of the balance heuristic.
+    /// One sample of one light, at a vertex of a path; its share of the balance heuristic.
     pub(super) fn sampled(&self, point: Vec3, n: Vec3, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
         let world = self.world;
-        let Some(choice) = &world.emitters.choice else { return Vec3::ZERO };
-        let (index, _) = choice.sample(rng.next_f32());
+        let Some((index, probability)) = world.emitters.choose(point, n, rng.next_f32()) else { return Vec3::ZERO };
         let emitter = &world.emitters.list[index];
         let w = visible_weight(emitter, world, &world.trees, point, n, rng.next_2d(), rays);
         let cosine_samples = if emitter.is_delta() { 0.0 } else { 1.0 };
-        emitter.strength * (w / (choice.pdf(index) + cosine_samples * w))
+        emitter.strength * (w / (probability + cosine_samples * w))
     }
 
     /// Radiance of a light that a cosine ray of a path met, its share beside [`Lights::sampled`].
     pub(super) fn met(&self, n: Vec3, ray: &Ray, hit: &Hit) -> Vec3 {
-        let choice = self.world.emitters.choice.as_ref();
-        self.met_with(n, ray, hit, |index, w| w / (choice.map_or(0.0, |c| c.pdf(index as usize)) + w))
+        self.met_with(n, ray, hit, |index, w| w / (self.world.emitters.choice_pdf(ray.origin, n, index as usize) + w))
     }
 
     #[inline]

@@ -9,7 +9,7 @@ use crate::lightmap::LightMap;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
 use crate::scene::LightKind;
-use crate::transport::direct::{below_horizon, one_light, visible_weight};
+use crate::transport::direct::{one_light, visible_weight};
 use crate::transport::{Field, Rough, Surfel, incoming_light};
 use crate::world::World;
 
@@ -81,7 +81,7 @@ impl<'a> Shading<'a> {
         let mut sum = Vec3::ZERO;
         if list.len() <= MAX_LIGHTS {
             for (emitter, sequence) in list.iter().zip(sequences) {
-                if emitter.strength != Vec3::ZERO && !below_horizon(emitter, point, n) {
+                if emitter.strength != Vec3::ZERO && !emitter.is_below_horizon(point, n) {
                     let u = sequence.get(k);
                     sum += emitter.strength * visible_weight(emitter, world, &world.trees, point, n, u, &mut rays);
                 }

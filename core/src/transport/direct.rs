@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::{Canceled, Work};
+use super::{Canceled, Effort, Work};
 use crate::bvh::Ray;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
@@ -36,13 +36,21 @@ impl DirectLight {
         DirectLight { samples: emitters.list.iter().enumerate().map(of).collect(), environment }
     }
 
-    /// irradiance / π at a point with unit normal `n`, light by light added up.
-    pub(crate) fn estimate(&self, world: &World, point: Vec3, n: Vec3, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
+    /// irradiance / π at a point with unit normal `n`, light by light added up, from `factor` times the samples.
+    pub(crate) fn estimate(
+        &self,
+        world: &World,
+        (point, n): (Vec3, Vec3),
+        factor: u32,
+        rng: &mut Pcg32,
+        rays: &mut u64,
+    ) -> Vec3 {
         let mut sum = Vec3::ZERO;
         for (emitter, &count) in world.emitters.list.iter().zip(&self.samples) {
-            if count == 0 || below_horizon(emitter, point, n) {
+            if count == 0 || emitter.is_below_horizon(point, n) {
                 continue;
             }
+            let count = if emitter.is_delta() { count } else { count * factor };
             let sequence = R2::new(rng);
             let mut weight = 0.0;
             for k in 0..count {
@@ -51,9 +59,9 @@ impl DirectLight {
             sum += emitter.strength * (weight / count as f32);
         }
         if self.environment > 0 {
-            let sequence = R2::new(rng);
+            let (count, sequence) = (self.environment * factor, R2::new(rng));
             let mut free = 0;
-            for k in 0..self.environment {
+            for k in 0..count {
                 let direction = cosine_hemisphere(n, sequence.get(k));
                 *rays += 1;
                 free += u32::from(!world.trees.any_hit(&Ray {
@@ -63,7 +71,7 @@ impl DirectLight {
                     t_max: f32::INFINITY,
                 }));
             }
-            sum += world.emitters.environment * (free as f32 / self.environment as f32);
+            sum += world.emitters.environment * (free as f32 / count as f32);
         }
         sum
     }
@@ -86,34 +94,28 @@ pub(crate) fn visible_weight(
     if trees.visible(point, sample.direction, sample.distance, end) { sample.weight } else { 0.0 }
 }
 
-/// Whether all of a light lies below the surface's horizon.
-#[inline]
-pub(crate) fn below_horizon(emitter: &Emitter, point: Vec3, n: Vec3) -> bool {
-    emitter.sphere().is_some_and(|(center, radius)| n.dot(center - point) <= -radius)
-}
-
-/// One sample of one light chosen by power, for a vertex of a path. Environment light is the path's own.
+/// One sample of one light, for a vertex of a path. Environment light is the path's own.
 #[inline]
 pub(crate) fn one_light(world: &World, point: Vec3, n: Vec3, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
-    let Some(choice) = &world.emitters.choice else { return Vec3::ZERO };
-    let (index, _) = choice.sample(rng.next_f32());
+    let Some((index, probability)) = world.emitters.choose(point, n, rng.next_f32()) else { return Vec3::ZERO };
     let emitter = &world.emitters.list[index];
     let weight = visible_weight(emitter, world, &world.trees, point, n, rng.next_2d(), rays);
-    emitter.strength * (weight / choice.pdf(index))
+    emitter.strength * (weight / probability)
 }
 
-/// Direct light of many elements.
+/// Direct light of many elements, from `samples` each, times its effort.
 pub(crate) fn direct_of(
     world: &World,
     slots: &[u32],
     samples: u32,
+    effort: &Effort,
     seed: u64,
     work: &Work,
 ) -> Result<Vec<Vec3>, Canceled> {
     let direct = DirectLight::new(world, samples);
     let seed = subseed(seed, 0xd1);
     work.map(slots, |_, slot, rays| {
-        let (point, n) = world.ray_origin(slot as usize);
-        direct.estimate(world, point, n, &mut Pcg32::new(seed, u64::from(slot)), rays)
+        let (from, factor) = (world.ray_origin(slot as usize), effort.factor(slot));
+        direct.estimate(world, from, factor, &mut Pcg32::new(seed, u64::from(slot)), rays)
     })
 }

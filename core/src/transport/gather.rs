@@ -2,17 +2,18 @@
 
 use glam::Vec3;
 
-use super::{Canceled, Field, Work, incoming_light};
+use super::{Canceled, Effort, Field, Work, incoming_light};
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
 use crate::world::World;
 
-/// Gathers a light map with the near-field rule: reflected light only.
+/// Gathers a light map with the near-field rule: reflected light only. `samples` per element, times its effort.
 pub(crate) fn gather(
     world: &World,
     field: &Field,
     slots: &[u32],
     samples: u32,
+    effort: &Effort,
     seed: u64,
     work: &Work,
 ) -> Result<Vec<Vec3>, Canceled> {
@@ -20,6 +21,7 @@ pub(crate) fn gather(
     work.map(slots, |_, slot, rays| {
         let (origin, n) = world.ray_origin(slot as usize);
         let mut rng = Pcg32::new(seed, u64::from(slot));
+        let samples = effort.samples(slot, samples);
         let sequence = R2::new(&mut rng);
         let mut sum = Vec3::ZERO;
         for k in 0..samples {

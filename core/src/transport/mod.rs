@@ -4,11 +4,13 @@
 //! `M' = G[L]`, where G gathers L over the hemisphere by the cosine.
 
 pub(crate) mod direct;
+mod effort;
 mod gather;
 mod surfel;
 mod walk;
 
 pub(crate) use direct::DirectLight;
+pub(crate) use effort::Effort;
 pub(crate) use gather::gather;
 pub(crate) use surfel::Surfel;
 pub(crate) use walk::{End, Field, Rough, incoming_light, walk};

@@ -8,7 +8,7 @@ use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::{Spheres, cosine_hemisphere};
 use crate::solve::Subset;
-use crate::transport::direct::{SHADOW_END, below_horizon};
+use crate::transport::direct::SHADOW_END;
 use crate::transport::{DirectLight, Work};
 use crate::world::{Emitter, Transition, World};
 
@@ -135,7 +135,8 @@ impl<'a> DirectChange<'a> {
     fn pair_change(&self, pair: &Pair, count: u32, point: Vec3, n: Vec3, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
         let emitter = pair.emitter;
         let steady = pair.before == pair.after;
-        if steady && (pair.before == Vec3::ZERO || !self.may_be_cut(emitter, point)) || below_horizon(emitter, point, n)
+        if steady && (pair.before == Vec3::ZERO || !self.may_be_cut(emitter, point))
+            || emitter.is_below_horizon(point, n)
         {
             return Vec3::ZERO;
         }

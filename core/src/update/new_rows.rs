@@ -8,7 +8,7 @@ use crate::random::{Pcg32, subseed};
 use crate::rounds::Round;
 use crate::solve::{Exchange, Rows, Source};
 use crate::transport::direct::direct_of;
-use crate::transport::{Field, Rough, Surfel, gather};
+use crate::transport::{Effort, Field, Rough, Surfel, gather};
 
 /// Samples of new rows per sample of the others: they have no old map to lean on (design, section 3.8 c).
 const NEW_ROW_SAMPLES: u32 = 4;
@@ -24,10 +24,10 @@ impl Updater<'_> {
             return Ok(());
         }
         let (world, work) = (self.world, self.work);
-        let samples = round.samples * NEW_ROW_SAMPLES;
+        let (samples, nominal) = (round.samples * NEW_ROW_SAMPLES, Effort::default());
         // What they see of the elements that stay: old light, changed direct light.
         let mut field: Vec<Vec3> = self.old_total.iter().zip(&*direct).map(|(t, d)| *t + *d).collect();
-        let own_direct = direct_of(world, rows, samples, subseed(round.seed, 0xd0), work)?;
+        let own_direct = direct_of(world, rows, samples, &nominal, subseed(round.seed, 0xd0), work)?;
         for (&slot, d) in rows.iter().zip(&own_direct) {
             direct[slot as usize] = *d;
             field[slot as usize] = *d;
@@ -41,7 +41,7 @@ impl Updater<'_> {
         }
         let rough = Rough::default();
         let light = Field { direct: &field, indirect: &[], rough: &rough };
-        let gathered = gather(world, &light, rows, samples, subseed(round.seed, 0x0b), work)?;
+        let gathered = gather(world, &light, rows, samples, &nominal, subseed(round.seed, 0x0b), work)?;
         rows.iter().zip(gathered).for_each(|(&slot, i)| indirect[slot as usize] = i);
         Ok(())
     }

@@ -37,6 +37,9 @@ pub(crate) enum Shape {
         center: Vec3,
         /// m.
         radius: f32,
+        /// Least and greatest corner of the bounding box.
+        low: Vec3,
+        high: Vec3,
         /// Area of the largest triangle, m².
         largest: f32,
         /// Area of all, m².
@@ -134,7 +137,7 @@ fn surface(triangles: Vec<EmissiveTriangle>, double_sided: bool) -> Shape {
     let radius = corners().map(|c| c.distance(center)).fold(0.0, f32::max) * 1.0001;
     let largest = triangles.iter().map(|t| t.area).fold(0.0, f32::max);
     let area = triangles.iter().map(|t| t.area).sum();
-    Shape::Surface { triangles, choice, double_sided, center, radius, largest, area }
+    Shape::Surface { triangles, choice, double_sided, center, radius, low, high, largest, area }
 }
 
 /// The specification's window: the inverse square law, ended smoothly at `range`.
@@ -281,7 +284,7 @@ impl Emitter {
     /// Density per steradian with which [`Emitter::sample`] finds the point that a ray met on this emissive surface;
     /// zero where it never does. `which` tells the index of the triangle, where it is needed: near many triangles.
     pub(crate) fn pdf(&self, ray: &Ray, hit: &Hit, which: impl FnOnce() -> Option<usize>) -> f32 {
-        let Shape::Surface { triangles, choice, double_sided, center, radius, largest, area } = &self.shape else {
+        let Shape::Surface { triangles, choice, double_sided, center, radius, largest, area, .. } = &self.shape else {
             return 0.0;
         };
         let point = ray.origin;

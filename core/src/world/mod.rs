@@ -4,6 +4,7 @@
 mod apply;
 mod build;
 mod check;
+mod choice;
 mod coarse;
 mod emitters;
 mod geometry;
