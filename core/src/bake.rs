@@ -7,12 +7,13 @@ use glam::Vec3;
 
 use crate::accumulate::Accumulator;
 use crate::job::{Budget, Canceled, Observer, Pass};
+use crate::layers::{Header, Stack, groups_of, weight_of, whole, with_layers};
 use crate::lightmap::LightMap;
 use crate::random::{Pcg32, subseed};
 use crate::rounds::{Phase, Round, Rounds};
 use crate::solve::{Exchange, Rows, Source, Subset};
 use crate::transport::direct::direct_of;
-use crate::transport::{Effort, Field, Rough, Surfel, Work, gather};
+use crate::transport::{Effort, Field, Rough, Surfel, Value, Work, gather};
 use crate::world::World;
 
 /// Samples per representative and round: at least, at most.
@@ -22,15 +23,69 @@ const SOLVE_SAMPLES: (u32, u32) = (16, 64);
 const ROUGH_SAMPLES: u32 = 4;
 
 /// Bakes a light map. Progressive: the observer gets a snapshot after every round. Ends by the budget or when the
-/// observer plans no further round; the same inputs, seed and plan give the same bits.
+/// observer plans no further round; the same inputs, seed and plan give the same bits. Groups of lights
+/// ([`crate::scene::Scene::groups`]) get layers of their own, along the same rays.
 pub fn bake(world: &World, budget: &Budget, seed: u64, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
     let work = Work::new(observer);
     let seed = subseed(seed, 0xba6e);
-    let baker = Baker::new(world, seed, &work);
-    let stated = |map: &LightMap| Some(map.estimated_rmse(world.areas()));
-    let rounds = Rounds { len: world.slots(), budget, seed, work: &work, phase: Phase::Whole };
-    let map = rounds.run(stated, |_| false, |r| baker.round(r), |s| baker.compose(s))?;
+    let map = bake_layers(world, groups_of(&world.scene), &|map| map, budget, seed, &work)?;
     Ok(map.unwrap_or_else(|| Arc::new(LightMap::black(world.slots()))))
+}
+
+/// Bakes the layers of some headers, or without any all light together; none where no round was run. `improve` makes
+/// what is published of what was baked so far, once its variance is known.
+pub(crate) fn bake_layers(
+    world: &World,
+    headers: Vec<Header>,
+    improve: &dyn Fn(LightMap) -> LightMap,
+    budget: &Budget,
+    seed: u64,
+    work: &Work,
+) -> Result<Option<Arc<LightMap>>, Canceled> {
+    if headers.is_empty() {
+        let finish = |stack: Stack<Vec3>| improve(stack.into_map());
+        return bake_stack(world, &[Vec3::ONE], &finish, budget, seed, work);
+    }
+    let headers: Vec<&Header> = headers.iter().collect();
+    let weight = |header: &&Header| weight_of(&header.lights, &world.scene).unwrap_or(Vec3::ONE);
+    let weights: Vec<Vec3> = headers.iter().map(weight).collect();
+    let lit = world.only_layers(&headers, &weights);
+    with_layers!(headers.len(), bake_headers(&lit, &headers, &weights, improve, budget, seed, work))
+}
+
+fn bake_headers<V: Value>(
+    world: &World,
+    headers: &[&Header],
+    weights: &[Vec3],
+    improve: &dyn Fn(LightMap) -> LightMap,
+    budget: &Budget,
+    seed: u64,
+    work: &Work,
+) -> Result<Option<Arc<LightMap>>, Canceled> {
+    let finish = |stack: Stack<V>| {
+        let mut map = whole(stack.to_layers(headers), weights, 0.0);
+        // A single layer is computed at its own scale.
+        if headers.len() > 1 {
+            map.variance = stack.variance;
+        }
+        improve(map)
+    };
+    let own = if headers.len() > 1 { weights } else { &[Vec3::ONE] };
+    bake_stack(world, own, &finish, budget, seed, work)
+}
+
+fn bake_stack<V: Value>(
+    world: &World,
+    weights: &[Vec3],
+    finish: &dyn Fn(Stack<V>) -> LightMap,
+    budget: &Budget,
+    seed: u64,
+    work: &Work,
+) -> Result<Option<Arc<LightMap>>, Canceled> {
+    let baker = Baker::new(world, weights, seed, work);
+    let stated = |map: &LightMap| Some(map.estimated_rmse(world.areas()));
+    let rounds = Rounds { len: world.slots(), weights, budget, seed, work, phase: Phase::Whole };
+    rounds.run(stated, |_| false, |r| baker.round(r), |s| finish(baker.compose(s)))
 }
 
 /// What all rounds of a bake share.
@@ -40,26 +95,28 @@ pub(crate) struct Baker<'a> {
     subset: Subset,
     rows: Rows,
     rough: OnceCell<Rough>,
+    /// What each layer weighs in the whole.
+    weights: &'a [Vec3],
     seed: u64,
     work: &'a Work<'a>,
 }
 
 impl<'a> Baker<'a> {
-    pub(crate) fn new(world: &'a World, seed: u64, work: &'a Work<'a>) -> Baker<'a> {
+    pub(crate) fn new(world: &'a World, weights: &'a [Vec3], seed: u64, work: &'a Work<'a>) -> Baker<'a> {
         let subset = Subset::new(world);
         let (slots, rows) = (world.computed_slots(), Rows::all(&subset));
-        Baker { world, slots, subset, rows, rough: OnceCell::new(), seed: subseed(seed, 0x4006), work }
+        Baker { world, slots, subset, rows, rough: OnceCell::new(), weights, seed: subseed(seed, 0x4006), work }
     }
 
     /// The mean of all rounds.
-    pub(crate) fn compose(&self, sum: &Accumulator) -> LightMap {
-        let mut map = LightMap { direct: sum.direct(), indirect: sum.indirect(), variance: sum.variance() };
-        self.world.fill_invalid(&mut map);
-        map
+    pub(crate) fn compose<V: Value>(&self, sum: &Accumulator<V>) -> Stack<V> {
+        let mut stack = Stack::mean_of(sum);
+        stack.fill_invalid(&self.world.validity);
+        stack
     }
 
     /// One independent estimate of direct and indirect light.
-    pub(crate) fn round(&self, round: &Round) -> Result<(Vec<Vec3>, Vec<Vec3>), Canceled> {
+    pub(crate) fn round<V: Value>(&self, round: &Round<V>) -> Result<(Vec<V>, Vec<V>), Canceled> {
         let (world, work) = (self.world, self.work);
         (round.begin)(Pass::Direct, 0.0);
         // Earlier rounds choose the number of samples, never what they find: the mean stays free of bias.
@@ -67,20 +124,20 @@ impl<'a> Baker<'a> {
             true => Effort::new(world, &round.sum.variance()),
             false => Effort::default(),
         };
-        let direct = self.scatter(&direct_of(world, &self.slots, round.samples, &effort, round.seed, work)?);
+        let direct: Vec<V> = self.scatter(&direct_of(world, &self.slots, round.samples, &effort, round.seed, work)?);
         (round.begin)(Pass::Propagation, 0.25);
         // Each round solves anew, from its own direct light: rounds stay independent, so that their scatter is the
         // error of their mean, and since all is linear the mean is the solution of the mean direct light.
         let mut filled_direct = direct.clone();
         world.validity.fill(&mut filled_direct);
         let (exchange, bounces) = self.solve(&filled_direct, round)?;
-        let field = Field { direct: &filled_direct, indirect: &bounces, rough: self.rough()? };
+        let field = Field { direct: &filled_direct, indirect: &bounces, rough: self.rough::<V>()? };
         (round.begin)(Pass::FinalGather, 0.4);
         let indirect = gather(world, &field, &self.slots, round.samples, &effort, round.seed, work)?;
         let mut indirect = self.scatter(&indirect);
         // The gather is better than the solution that it looked up: at all elements, not on a subset. What it found anew
         // has bounces of its own.
-        let mut residual: Vec<Vec3> = indirect.iter().zip(&bounces).map(|(i, b)| *i - *b).collect();
+        let mut residual: Vec<V> = indirect.iter().zip(&bounces).map(|(i, b)| *i - *b).collect();
         world.validity.fill(&mut residual);
         let missing = self.spread(&exchange, &exchange.settle(&residual));
         self.slots.iter().for_each(|&slot| indirect[slot as usize] += missing[slot as usize]);
@@ -88,13 +145,13 @@ impl<'a> Baker<'a> {
     }
 
     /// All bounces of the direct light, on the subset and interpolated to all slots.
-    fn solve(&self, direct: &[Vec3], round: &Round) -> Result<(Exchange<'_>, Vec<Vec3>), Canceled> {
+    fn solve<V: Value>(&self, direct: &[V], round: &Round<V>) -> Result<(Exchange<'_, V>, Vec<V>), Canceled> {
         let world = self.world;
-        let field = Field { direct, indirect: &[], rough: self.rough()? };
+        let field = Field { direct, indirect: &[], rough: self.rough::<V>()? };
         let source = |_: u32, s: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64| {
-            s.albedo * field.at(world, s, near, rng, rays)
+            field.at(world, s, near, rng, rays) * s.albedo
         };
-        let source = Source { radiance: source, sky: world.emitters.environment };
+        let source = Source { radiance: source, sky: world.emitters.sky() };
         let samples = round.samples.clamp(SOLVE_SAMPLES.0, SOLVE_SAMPLES.1);
         let seed = subseed(round.seed, 0x50);
         let exchange = Exchange::trace(world, &self.subset, &self.rows, &source, samples, seed, self.work)?;
@@ -102,35 +159,26 @@ impl<'a> Baker<'a> {
         Ok((exchange, bounces))
     }
 
-    fn spread(&self, exchange: &Exchange, values: &[Vec3]) -> Vec<Vec3> {
+    fn spread<V: Value>(&self, exchange: &Exchange<V>, values: &[V]) -> Vec<V> {
         let mut field = self.subset.interpolate(&exchange.to_representatives(&self.subset, values));
         self.world.validity.fill(&mut field);
         field
     }
 
     /// Where direct light is not to be looked up, judged once, by samples of its own.
-    fn rough(&self) -> Result<&Rough, Canceled> {
+    fn rough<V: Value>(&self) -> Result<&Rough, Canceled> {
         if let Some(rough) = self.rough.get() {
             return Ok(rough);
         }
-        let mut direct =
+        let mut direct: Vec<V> =
             self.scatter(&direct_of(self.world, &self.slots, ROUGH_SAMPLES, &Effort::default(), self.seed, self.work)?);
         self.world.validity.fill(&mut direct);
-        Ok(self.rough.get_or_init(|| Rough::new(self.world, &direct)))
+        Ok(self.rough.get_or_init(|| Rough::new(self.world, &direct, self.weights)))
     }
 
-    fn scatter(&self, values: &[Vec3]) -> Vec<Vec3> {
-        let mut out = vec![Vec3::ZERO; self.world.slots()];
+    fn scatter<V: Value>(&self, values: &[V]) -> Vec<V> {
+        let mut out = vec![V::default(); self.world.slots()];
         self.slots.iter().zip(values).for_each(|(&slot, v)| out[slot as usize] = *v);
         out
-    }
-}
-
-impl World {
-    /// Elements inside solids take their neighbours' values.
-    pub(crate) fn fill_invalid(&self, map: &mut LightMap) {
-        self.validity.fill(&mut map.direct);
-        self.validity.fill(&mut map.indirect);
-        self.validity.fill_scalars(&mut map.variance);
     }
 }

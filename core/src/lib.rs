@@ -11,6 +11,7 @@ pub mod edit;
 pub mod export;
 mod focus;
 pub mod job;
+pub mod layers;
 pub mod lightmap;
 pub mod metrics;
 pub mod paper;

@@ -1,6 +1,10 @@
 //! The light map: what is stored per element.
 
+use std::sync::Arc;
+
 use glam::Vec3;
+
+use crate::layers::Layer;
 
 /// Values per element slot: outgoing radiance / albedo = irradiance / π, linear RGB. Slots without an element are zero.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -11,12 +15,34 @@ pub struct LightMap {
     pub indirect: Vec<Vec3>,
     /// Estimated variance of direct + indirect, mean over RGB.
     pub variance: Vec<f32>,
+    /// The same light by the lights it stems from; empty until somebody relights a light or groups lights.
+    pub layers: Vec<Arc<Layer>>,
 }
 
 impl LightMap {
     /// A map of `len` slots without light.
     pub fn black(len: usize) -> LightMap {
-        LightMap { direct: vec![Vec3::ZERO; len], indirect: vec![Vec3::ZERO; len], variance: vec![0.0; len] }
+        LightMap {
+            direct: vec![Vec3::ZERO; len],
+            indirect: vec![Vec3::ZERO; len],
+            variance: vec![0.0; len],
+            layers: Vec::new(),
+        }
+    }
+
+    /// This map with `slots` slots: cut, or with holes at its end.
+    pub fn resized(&self, slots: usize) -> LightMap {
+        let mut map = self.clone();
+        map.direct.resize(slots, Vec3::ZERO);
+        map.indirect.resize(slots, Vec3::ZERO);
+        map.variance.resize(slots, 0.0);
+        for layer in &mut map.layers {
+            let layer = Arc::make_mut(layer);
+            layer.direct.resize(slots, Vec3::ZERO);
+            layer.indirect.resize(slots, Vec3::ZERO);
+            layer.variance.resize(slots, 0.0);
+        }
+        map
     }
 
     /// Slots, empty ones included.

@@ -4,12 +4,13 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::accumulate::Accumulator;
-use crate::bake::Baker;
+use glam::Vec3;
+
+use crate::bake::bake_layers;
 use crate::job::{Budget, Canceled, Observer};
+use crate::layers::headers_of_layers;
 use crate::lightmap::LightMap;
 use crate::random::subseed;
-use crate::rounds::{Phase, Rounds};
 use crate::transport::Work;
 use crate::world::World;
 
@@ -37,25 +38,37 @@ pub(crate) fn refine_with(
     work: &Work,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
     let seed = subseed(seed, 0x4ef1);
-    let baker = Baker::new(world, seed, work);
-    let compose = |sum: &Accumulator| {
-        if sum.knows_variance() { blend(world, map, baker.compose(sum)) } else { map.clone() }
+    let improve = |new: LightMap| {
+        // A first round alone cannot tell its variance.
+        if new.variance.iter().any(|v| *v > 0.0) { blend(world, map, new) } else { map.clone() }
     };
-    let stated = |map: &LightMap| Some(map.estimated_rmse(world.areas()));
-    let rounds = Rounds { len: world.slots(), budget, seed, work, phase: Phase::Whole };
-    rounds.run(stated, |_| false, |r| baker.round(r), compose)
+    bake_layers(world, headers_of_layers(map), &improve, budget, seed, work)
 }
 
 /// The average of two independent estimates, object by object.
 fn blend(world: &World, old: &LightMap, mut new: LightMap) -> LightMap {
     let (a, b) = (variances(world, old), variances(world, &new));
+    let mut weights = vec![1.0; new.len()];
     for (slot, key) in world.geometry.owners.iter().enumerate() {
         let (Some(&a), Some(&b)) = (a.get(key), b.get(key)) else { continue };
         let weight = if a > 0.0 { (a / (a + b)) as f32 } else { 0.0 };
-        new.direct[slot] = old.direct[slot].lerp(new.direct[slot], weight);
-        new.indirect[slot] = old.indirect[slot].lerp(new.indirect[slot], weight);
-        new.variance[slot] =
-            (1.0 - weight) * (1.0 - weight) * old.variance[slot] + weight * weight * new.variance[slot];
+        weights[slot] = weight;
+    }
+    let mix = |new: &mut [Vec3], old: &[Vec3]| {
+        new.iter_mut().zip(old).zip(&weights).for_each(|((n, o), w)| *n = o.lerp(*n, *w));
+    };
+    let mix_variance = |new: &mut [f32], old: &[f32]| {
+        let pairs = new.iter_mut().zip(old).zip(&weights);
+        pairs.for_each(|((n, o), w)| *n = (1.0 - w) * (1.0 - w) * o + w * w * *n);
+    };
+    mix(&mut new.direct, &old.direct);
+    mix(&mut new.indirect, &old.indirect);
+    mix_variance(&mut new.variance, &old.variance);
+    for (new, old) in new.layers.iter_mut().zip(&old.layers) {
+        let new = Arc::make_mut(new);
+        mix(&mut new.direct, &old.direct);
+        mix(&mut new.indirect, &old.indirect);
+        mix_variance(&mut new.variance, &old.variance);
     }
     new
 }

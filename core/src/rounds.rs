@@ -6,19 +6,19 @@ use crate::accumulate::Accumulator;
 use crate::job::{Budget, Canceled, Pass, Progress};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
-use crate::transport::Work;
+use crate::transport::{Value, Work};
 
 /// Samples per element of the first two rounds; every later round doubles the total.
 const FIRST_SAMPLES: u32 = 4;
 
 /// What one round is told.
-pub(crate) struct Round<'a> {
+pub(crate) struct Round<'a, V> {
     /// Samples per element.
     pub samples: u32,
     /// This round's own seed.
     pub seed: u64,
     /// What earlier rounds have gathered.
-    pub sum: &'a Accumulator,
+    pub sum: &'a Accumulator<V>,
     /// Tells the caller which pass begins; `f32` is the part of the round that is done.
     pub begin: &'a dyn Fn(Pass, f32),
 }
@@ -39,6 +39,8 @@ pub(crate) enum Phase {
 pub(crate) struct Rounds<'a> {
     /// Slots of the map.
     pub len: usize,
+    /// What each layer weighs in the whole.
+    pub weights: &'a [glam::Vec3],
     /// When to stop.
     pub budget: &'a Budget,
     /// Every round gets one of its own from it.
@@ -52,16 +54,16 @@ pub(crate) struct Rounds<'a> {
 impl Rounds<'_> {
     /// Runs them. `round` gives one independent estimate (direct, indirect), `compose` makes a light map of all, `stated`
     /// tells its error, `enough` whether more rounds are of no use.
-    pub(crate) fn run(
+    pub(crate) fn run<V: Value>(
         &self,
         stated: impl Fn(&LightMap) -> Option<f32>,
-        enough: impl Fn(&Accumulator) -> bool,
-        mut round: impl FnMut(&Round) -> Result<(Vec<glam::Vec3>, Vec<glam::Vec3>), Canceled>,
-        compose: impl Fn(&Accumulator) -> LightMap,
+        enough: impl Fn(&Accumulator<V>) -> bool,
+        mut round: impl FnMut(&Round<V>) -> Result<(Vec<V>, Vec<V>), Canceled>,
+        compose: impl Fn(&Accumulator<V>) -> LightMap,
     ) -> Result<Option<Arc<LightMap>>, Canceled> {
         let Rounds { budget, work, phase, .. } = *self;
         let observer = work.observer();
-        let mut sum = Accumulator::new(self.len);
+        let mut sum = Accumulator::new(self.len, self.weights);
         let mut last: Option<Arc<LightMap>> = None;
         let mut estimated_rmse = None;
         for index in 0.. {

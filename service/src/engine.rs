@@ -108,6 +108,7 @@ pub(crate) fn empty_world(spacing: f32) -> World {
         origin: DVec3::ZERO,
         objects: Vec::new(),
         lights: Vec::new(),
+        groups: BTreeMap::new(),
         cameras: Vec::new(),
         warnings: Vec::new(),
         degenerate_triangles: 0,
@@ -137,11 +138,7 @@ pub(crate) fn fitted(map: &Arc<LightMap>, slots: usize) -> Arc<LightMap> {
     if map.len() <= slots {
         return lengthened(map, slots);
     }
-    let mut shorter = LightMap::clone(map);
-    shorter.direct.truncate(slots);
-    shorter.indirect.truncate(slots);
-    shorter.variance.truncate(slots);
-    Arc::new(shorter)
+    Arc::new(map.resized(slots))
 }
 
 /// A map with holes at its end, up to `slots`.
@@ -149,11 +146,7 @@ pub(crate) fn lengthened(map: &Arc<LightMap>, slots: usize) -> Arc<LightMap> {
     if map.len() >= slots {
         return map.clone();
     }
-    let mut longer = LightMap::clone(map);
-    longer.direct.resize(slots, Vec3::ZERO);
-    longer.indirect.resize(slots, Vec3::ZERO);
-    longer.variance.resize(slots, 0.0);
-    Arc::new(longer)
+    Arc::new(map.resized(slots))
 }
 
 /// One object, as clients see it.

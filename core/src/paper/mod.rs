@@ -133,8 +133,9 @@ impl State {
         for slot in (0..len).filter(|&slot| after.areas()[slot] <= 0.0) {
             (self.direct[slot], self.indirect[slot]) = (Vec3::ZERO, Vec3::ZERO);
         }
-        let mut map = LightMap { direct: self.direct, indirect: self.indirect, variance: vec![0.0; len] };
-        after.fill_invalid(&mut map);
+        let mut map = LightMap { direct: self.direct, indirect: self.indirect, ..LightMap::black(len) };
+        after.validity.fill(&mut map.direct);
+        after.validity.fill(&mut map.indirect);
         map
     }
 }

@@ -179,7 +179,7 @@ impl ObjectScene<'_> {
                 break;
             }
             if lit {
-                radiance += beta * one_light(self.with, point, surfel.normal, rng, rays);
+                radiance += beta * one_light::<Vec3>(self.with, point, surfel.normal, rng, rays);
             }
             ray = self::ray(point, cosine_hemisphere(surfel.normal, rng.next_2d()));
         }

@@ -9,8 +9,8 @@ use crate::bvh::Ray;
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
-use crate::transport::{Effort, Work};
 use crate::transport::direct::direct_of;
+use crate::transport::{Effort, Work};
 
 /// Samples of the object's own elements per sample of the scene's: "generated from scratch, which calls for more
 /// samples" (section 3.5).

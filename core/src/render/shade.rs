@@ -87,7 +87,7 @@ impl<'a> Shading<'a> {
                 }
             }
         } else {
-            let chosen = (0..MAX_LIGHTS).map(|_| one_light(world, point, n, rng, &mut rays)).sum::<Vec3>();
+            let chosen = (0..MAX_LIGHTS).map(|_| one_light::<Vec3>(world, point, n, rng, &mut rays)).sum::<Vec3>();
             sum += chosen / MAX_LIGHTS as f32;
         }
         if world.emitters.environment != Vec3::ZERO {

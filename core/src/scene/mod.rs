@@ -13,6 +13,7 @@ pub use self::gltf::{LoadError, LoadLimits, load_glb};
 pub use self::light::{Light, LightKind};
 pub use self::merge::merge_as_object;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use glam::{DMat4, DVec3, Vec3};
@@ -26,6 +27,8 @@ pub struct Scene {
     pub objects: Vec<Object>,
     /// All lights, emissive surfaces included. Names are unique.
     pub lights: Vec<Light>,
+    /// Names of lights that shall share a layer of the light map, with the name of that layer.
+    pub groups: BTreeMap<String, String>,
     /// Cameras of the file, in its order.
     pub cameras: Vec<Camera>,
     /// What the file asked for and did not get, in words for a person.

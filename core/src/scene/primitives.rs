@@ -156,6 +156,7 @@ impl Scene {
             origin: glam::DVec3::ZERO,
             lights: objects.iter().flat_map(Object::emissive_lights).collect(),
             objects,
+            groups: std::collections::BTreeMap::new(),
             cameras: Vec::new(),
             warnings: Vec::new(),
             degenerate_triangles: 0,

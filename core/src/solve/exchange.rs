@@ -12,7 +12,7 @@ use super::{Subset, gmres};
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
-use crate::transport::{End, Surfel, Work, walk};
+use crate::transport::{End, Surfel, Value, Work, walk};
 use crate::world::World;
 
 /// Residual of the solve, relative to its source.
@@ -35,13 +35,13 @@ struct Entry {
 }
 
 /// What sends light into a system.
-pub(crate) struct Source<F> {
+pub(crate) struct Source<F, V> {
     /// `radiance(slot, surfel, near, rng, rays)` is what a surface sends to a point of element `slot` (or of an object
     /// without elements, `u32::MAX`); near ones are not to be looked up where the light there can be had otherwise. It
     /// may differ by receiver.
     pub radiance: F,
     /// What paths bring that leave the scene behind near surfaces.
-    pub sky: Vec3,
+    pub sky: V,
 }
 
 /// The representatives that a matrix is over.
@@ -76,29 +76,29 @@ impl Rows {
 }
 
 /// A sampled transport matrix and the first gather of a source along its rays.
-pub(crate) struct Exchange<'a> {
+pub(crate) struct Exchange<'a, V> {
     rows: &'a Rows,
     samples: usize,
     /// `samples` entries a row.
     entries: Vec<Entry>,
     /// First gather, per row.
-    pub first: Vec<Vec3>,
+    pub first: Vec<V>,
 }
 
-impl<'a> Exchange<'a> {
+impl<'a, V: Value> Exchange<'a, V> {
     /// Traces `samples` paths from every row, to the first surface that can be looked up (near-field rule).
-    pub(crate) fn trace<F: Fn(u32, &Surfel, bool, &mut Pcg32, &mut u64) -> Vec3 + Sync>(
+    pub(crate) fn trace<F: Fn(u32, &Surfel, bool, &mut Pcg32, &mut u64) -> V + Sync>(
         world: &'a World,
         subset: &Subset,
         rows: &'a Rows,
-        source: &Source<F>,
+        source: &Source<F, V>,
         samples: u32,
         seed: u64,
         work: &Work,
-    ) -> Result<Exchange<'a>, Canceled> {
+    ) -> Result<Exchange<'a, V>, Canceled> {
         let samples = samples.max(1) as usize;
         let mut entries = vec![Entry { row: NONE, element: NONE, weight: Vec3::ZERO }; rows.members.len() * samples];
-        let mut first = vec![Vec3::ZERO; rows.members.len()];
+        let mut first = vec![V::default(); rows.members.len()];
         let seed = subseed(seed, 0xec);
         let tasks = first.par_chunks_mut(CHUNK).zip(entries.par_chunks_mut(CHUNK * samples));
         tasks.zip(rows.members.par_chunks(CHUNK)).try_for_each(|((first, entries), members)| {
@@ -115,59 +115,59 @@ impl<'a> Exchange<'a> {
     }
 
     /// T̂ x.
-    fn apply(&self, x: &[Vec3]) -> Vec<Vec3> {
-        let of_row = |entries: &[Entry]| -> Vec3 {
+    fn apply(&self, x: &[V]) -> Vec<V> {
+        let of_row = |entries: &[Entry]| -> V {
             let met = entries.iter().filter(|e| e.row != NONE);
-            met.map(|e| e.weight * x[e.row as usize]).sum::<Vec3>() / self.samples as f32
+            met.map(|e| x[e.row as usize] * e.weight).sum::<V>() / self.samples as f32
         };
         self.entries.par_chunks(self.samples).with_min_len(256).map(of_row).collect()
     }
 
     /// `X = u + T̂ X`, per row: all bounces of a source whose first gather is `u`.
-    pub(crate) fn all_bounces(&self, first: &[Vec3]) -> Vec<Vec3> {
+    pub(crate) fn all_bounces(&self, first: &[V]) -> Vec<V> {
         gmres::solve(|x| self.apply(x), first, TOLERANCE)
     }
 
     /// What is missing where a better gather of the same light differs from the solution by `residual`, per element
     /// slot: `Σ_{j ≥ 1} Tʲ r`. Its first bounce is gathered at full resolution: the solution, interpolated from its
     /// representatives, is off where there are none, in corners above all.
-    pub(crate) fn settle(&self, residual: &[Vec3]) -> Vec<Vec3> {
-        let of_row = |entries: &[Entry]| -> Vec3 {
+    pub(crate) fn settle(&self, residual: &[V]) -> Vec<V> {
+        let of_row = |entries: &[Entry]| -> V {
             let met = entries.iter().filter(|e| e.element != NONE);
-            met.map(|e| e.weight * residual[e.element as usize]).sum::<Vec3>() / self.samples as f32
+            met.map(|e| residual[e.element as usize] * e.weight).sum::<V>() / self.samples as f32
         };
-        let first: Vec<Vec3> = self.entries.par_chunks(self.samples).with_min_len(256).map(of_row).collect();
+        let first: Vec<V> = self.entries.par_chunks(self.samples).with_min_len(256).map(of_row).collect();
         self.all_bounces(&first)
     }
 
     /// Values of rows at all representatives; zero at those that are no rows.
-    pub(crate) fn to_representatives(&self, subset: &Subset, values: &[Vec3]) -> Vec<Vec3> {
-        let mut out = vec![Vec3::ZERO; subset.slots.len()];
+    pub(crate) fn to_representatives(&self, subset: &Subset, values: &[V]) -> Vec<V> {
+        let mut out = vec![V::default(); subset.slots.len()];
         self.rows.members.iter().zip(values).for_each(|(&m, v)| out[m as usize] = *v);
         out
     }
 }
 
 #[expect(clippy::too_many_arguments, reason = "a private step of one loop")]
-fn trace_row<F: Fn(u32, &Surfel, bool, &mut Pcg32, &mut u64) -> Vec3>(
+fn trace_row<V: Value, F: Fn(u32, &Surfel, bool, &mut Pcg32, &mut u64) -> V>(
     world: &World,
     subset: &Subset,
     rows: &Rows,
     slot: u32,
-    source: &Source<F>,
+    source: &Source<F, V>,
     entries: &mut [Entry],
     seed: u64,
     rays: &mut u64,
-) -> Vec3 {
+) -> V {
     let (origin, n) = world.ray_origin(slot as usize);
     let mut rng = Pcg32::new(seed, u64::from(slot));
     let sequence = R2::new(&mut rng);
-    let mut sum = Vec3::ZERO;
+    let mut sum = V::default();
     for (k, entry) in entries.iter_mut().enumerate() {
         let direction = cosine_hemisphere(n, sequence.get(k as u32));
         let mut receiver = slot;
         let end = walk(world, origin, direction, &mut rng, rays, |surfel, weight, near, rng, rays| {
-            sum += weight * (source.radiance)(receiver, surfel, near, rng, rays);
+            sum += (source.radiance)(receiver, surfel, near, rng, rays) * weight;
             receiver = surfel.nearest_element();
         });
         match end {
@@ -176,7 +176,7 @@ fn trace_row<F: Fn(u32, &Surfel, bool, &mut Pcg32, &mut u64) -> Vec3>(
                 let row = subset.sample(world, &surfel, u).map_or(NONE, |r| rows.row(r));
                 *entry = Entry { row, element: surfel.element_by_weight(u[0]), weight };
             }
-            End::Escaped(weight) => sum += weight * source.sky,
+            End::Escaped(weight) => sum += source.sky * weight,
             End::Absorbed => {}
         }
     }

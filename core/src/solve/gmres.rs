@@ -1,10 +1,12 @@
-//! Restarted GMRES (Saad & Schultz 1986) for `x = b + T x`, three colour channels in lockstep.
+//! Restarted GMRES (Saad & Schultz 1986) for `x = b + T x`, all layers and colour channels in lockstep.
 //!
 //! T is a contraction, so plain iteration would converge too, but as the largest albedo to the power k: hundreds of
 //! steps in bright rooms. GMRES finds the few slow modes of a room at once.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use rayon::prelude::*;
+
+use crate::transport::{Value, Wide};
 
 /// Krylov vectors before a restart.
 const RESTART: usize = 24;
@@ -15,83 +17,85 @@ const MAX_RESTARTS: usize = 8;
 /// Elements per partial sum: fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 4096;
 
-/// Solves `x − T x = b` from `x = 0` until the residual is at most `tolerance` of `b` in every channel.
-pub(super) fn solve(apply: impl Fn(&[Vec3]) -> Vec<Vec3>, b: &[Vec3], tolerance: f64) -> Vec<Vec3> {
-    let target = norm(b) * tolerance;
-    let mut x = vec![Vec3::ZERO; b.len()];
+/// Solves `x − T x = b` from `x = 0` until the residual is at most `tolerance` of `b` in every layer and channel.
+pub(super) fn solve<V: Value>(apply: impl Fn(&[V]) -> Vec<V>, b: &[V], tolerance: f64) -> Vec<V> {
+    let target = norm(b).map(|n| n * tolerance);
+    let mut x = vec![V::default(); b.len()];
     let mut residual = b.to_vec();
     for _ in 0..MAX_RESTARTS {
-        if norm(&residual).cmple(target).all() {
+        if is_within::<V>(norm(&residual), target) {
             break;
         }
         let step = cycle(&apply, &residual, target);
-        axpy(&mut x, DVec3::ONE, &step);
+        axpy(&mut x, V::Wide::splat(DVec3::ONE), &step);
         let t = apply(&x);
         residual.par_iter_mut().zip(b).zip(&x).zip(&t).for_each(|(((r, b), x), t)| *r = *b - *x + *t);
     }
     x
 }
 
+fn is_within<V: Value>(values: V::Wide, limits: V::Wide) -> bool {
+    values.all(limits, |v, limit| v.abs().cmple(limit).all())
+}
+
 /// One cycle: the step that makes the residual least over the Krylov space.
-fn cycle(apply: &impl Fn(&[Vec3]) -> Vec<Vec3>, residual: &[Vec3], target: DVec3) -> Vec<Vec3> {
+fn cycle<V: Value>(apply: &impl Fn(&[V]) -> Vec<V>, residual: &[V], target: V::Wide) -> Vec<V> {
     let beta = norm(residual);
-    let mut basis = vec![scaled(residual, inverse(beta))];
+    let mut basis = vec![scaled(residual, beta.map(inverse))];
     // Column j of the Hessenberg matrix after Givens rotations, and the rotated right-hand side.
-    let mut columns: Vec<Vec<DVec3>> = Vec::new();
-    let mut rotations: Vec<(DVec3, DVec3)> = Vec::new();
+    let mut columns: Vec<Vec<V::Wide>> = Vec::new();
+    let mut rotations: Vec<(V::Wide, V::Wide)> = Vec::new();
     let mut right = vec![beta];
     for j in 0..RESTART {
         let t = apply(&basis[j]);
-        let mut w: Vec<Vec3> = basis[j].par_iter().zip(&t).map(|(v, t)| *v - *t).collect();
+        let mut w: Vec<V> = basis[j].par_iter().zip(&t).map(|(v, t)| *v - *t).collect();
         let mut column = Vec::with_capacity(j + 2);
         for v in &basis {
             let h = dot(v, &w);
-            axpy(&mut w, -h, v);
+            axpy(&mut w, h.map(|h| -h), v);
             column.push(h);
         }
         let next = norm(&w);
         for (i, &(c, s)) in rotations.iter().enumerate() {
             let (above, below) = (column[i], column[i + 1]);
-            (column[i], column[i + 1]) = (c * above + s * below, c * below - s * above);
+            column[i] = c.times(above).plus(s.times(below));
+            column[i + 1] = c.times(below).zip(s.times(above), |a, b| a - b);
         }
-        let length = (column[j] * column[j] + next * next).map_sqrt();
-        let (c, s) = (select_one(length, column[j] * inverse(length)), next * inverse(length));
+        let length = column[j].zip(next, |a, b| sqrt(a * a + b * b));
+        let (c, s) = (
+            length.zip(column[j].zip(length, |a, l| a * inverse(l)), select_one),
+            next.zip(length, |n, l| n * inverse(l)),
+        );
         column[j] = length;
         columns.push(column);
         rotations.push((c, s));
-        right.push(-s * right[j]);
-        right[j] *= c;
-        if right[j + 1].abs().cmple(target).all() {
+        right.push(s.zip(right[j], |s, r| -s * r));
+        right[j] = right[j].times(c);
+        if is_within::<V>(right[j + 1], target) {
             break;
         }
-        basis.push(scaled(&w, inverse(next)));
+        basis.push(scaled(&w, next.map(inverse)));
     }
     let weights = back_substitute(&columns, &right);
-    let mut step = vec![Vec3::ZERO; residual.len()];
+    let mut step = vec![V::default(); residual.len()];
     for (weight, v) in weights.iter().zip(&basis) {
         axpy(&mut step, *weight, v);
     }
     step
 }
 
-fn back_substitute(columns: &[Vec<DVec3>], right: &[DVec3]) -> Vec<DVec3> {
+fn back_substitute<W: Wide>(columns: &[Vec<W>], right: &[W]) -> Vec<W> {
     let n = columns.len();
-    let mut y = vec![DVec3::ZERO; n];
+    let mut y = vec![W::splat(DVec3::ZERO); n];
     for i in (0..n).rev() {
-        let known: DVec3 = (i + 1..n).map(|k| columns[k][i] * y[k]).sum();
-        y[i] = (right[i] - known) * inverse(columns[i][i]);
+        let known = (i + 1..n).fold(W::splat(DVec3::ZERO), |sum, k| sum.plus(columns[k][i].times(y[k])));
+        y[i] = right[i].zip(known, |r, k| r - k).times(columns[i][i].map(inverse));
     }
     y
 }
 
-trait MapSqrt {
-    fn map_sqrt(self) -> Self;
-}
-
-impl MapSqrt for DVec3 {
-    fn map_sqrt(self) -> DVec3 {
-        DVec3::new(self.x.sqrt(), self.y.sqrt(), self.z.sqrt())
-    }
+fn sqrt(v: DVec3) -> DVec3 {
+    DVec3::new(v.x.sqrt(), v.y.sqrt(), v.z.sqrt())
 }
 
 /// 1/v per channel, 0 where a channel has nothing (left).
@@ -105,27 +109,29 @@ fn select_one(length: DVec3, c: DVec3) -> DVec3 {
     DVec3::select(length.cmpgt(DVec3::ZERO), c, DVec3::ONE)
 }
 
-fn dot(a: &[Vec3], b: &[Vec3]) -> DVec3 {
-    let partial = |(a, b): (&[Vec3], &[Vec3])| -> DVec3 { a.iter().zip(b).map(|(a, b)| (*a * *b).as_dvec3()).sum() };
-    let sums: Vec<DVec3> = a.par_chunks(CHUNK).zip(b.par_chunks(CHUNK)).map(partial).collect();
-    sums.into_iter().sum()
+fn dot<V: Value>(a: &[V], b: &[V]) -> V::Wide {
+    let zero = V::Wide::splat(DVec3::ZERO);
+    let partial = |(a, b): (&[V], &[V])| a.iter().zip(b).fold(zero, |sum, (a, b)| sum.plus(a.product(*b)));
+    let sums: Vec<V::Wide> = a.par_chunks(CHUNK).zip(b.par_chunks(CHUNK)).map(partial).collect();
+    sums.into_iter().fold(zero, Wide::plus)
 }
 
-fn norm(a: &[Vec3]) -> DVec3 {
-    dot(a, a).map_sqrt()
+fn norm<V: Value>(a: &[V]) -> V::Wide {
+    dot(a, a).map(sqrt)
 }
 
-fn scaled(a: &[Vec3], by: DVec3) -> Vec<Vec3> {
-    a.par_iter().with_min_len(CHUNK).map(|v| (v.as_dvec3() * by).as_vec3()).collect()
+fn scaled<V: Value>(a: &[V], by: V::Wide) -> Vec<V> {
+    a.par_iter().with_min_len(CHUNK).map(|v| v.scaled(by)).collect()
 }
 
-fn axpy(y: &mut [Vec3], a: DVec3, x: &[Vec3]) {
-    let a = a.as_vec3();
-    y.par_iter_mut().zip(x).with_min_len(CHUNK).for_each(|(y, x)| *y += a * *x);
+fn axpy<V: Value>(y: &mut [V], a: V::Wide, x: &[V]) {
+    y.par_iter_mut().zip(x).with_min_len(CHUNK).for_each(|(y, x)| *y += x.scaled(a));
 }
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec3;
+
     use super::*;
     use crate::random::Pcg32;
 
@@ -144,7 +150,7 @@ mod tests {
         let x = solve(&apply, &b, 1e-5);
         let t = apply(&x);
         let residual: Vec<Vec3> = (0..5000).map(|i| b[i] + t[i] - x[i]).collect();
-        assert!((norm(&residual) / norm(&b)).max_element() < 3e-5, "{residual:?}");
+        assert!((norm(&residual) / norm(&b)).max_element() < 3e-5);
         // Sum over all rows of a doubly random matrix: roughly 1 / (1 − albedo) of that of b.
         let mean = x.iter().map(|v| v.x).sum::<f32>() / b.iter().map(|v| v.x).sum::<f32>();
         assert!((90.0..110.0).contains(&mean), "{mean}");

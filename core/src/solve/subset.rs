@@ -2,10 +2,9 @@
 
 use std::sync::Arc;
 
-use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::transport::Surfel;
+use crate::transport::{Surfel, Value};
 use crate::world::{Hidden, Placed, World};
 
 const NONE: u32 = u32::MAX;
@@ -84,9 +83,9 @@ impl Subset {
     }
 
     /// Values at the representatives carried to all slots; zero in holes.
-    pub(crate) fn interpolate(&self, values: &[Vec3]) -> Vec<Vec3> {
-        let mut out = vec![Vec3::ZERO; self.len];
-        let filled: Vec<Vec<Vec3>> = self.sides.par_iter().map(|side| side.interpolate(values)).collect();
+    pub(crate) fn interpolate<V: Value>(&self, values: &[V]) -> Vec<V> {
+        let mut out = vec![V::default(); self.len];
+        let filled: Vec<Vec<V>> = self.sides.par_iter().map(|side| side.interpolate(values)).collect();
         for (side, filled) in self.sides.iter().zip(filled) {
             out[side.first_slot as usize..][..filled.len()].copy_from_slice(&filled);
         }
@@ -140,15 +139,15 @@ impl Side {
         last.or_else(|| self.alone.binary_search_by_key(&element, |a| a.0).ok().map(|k| self.alone[k].1))
     }
 
-    fn interpolate(&self, values: &[Vec3]) -> Vec<Vec3> {
-        let mut out: Vec<Vec3> = (0..self.placed.surface.positions.len() as u32)
+    fn interpolate<V: Value>(&self, values: &[V]) -> Vec<V> {
+        let mut out: Vec<V> = (0..self.placed.surface.positions.len() as u32)
             .map(|element| {
-                let (mut sum, mut weight) = (Vec3::ZERO, 0.0);
+                let (mut sum, mut weight) = (V::default(), 0.0);
                 for (i, w) in self.entries_of(element) {
                     sum += values[i] * w;
                     weight += w;
                 }
-                if weight > 0.0 { sum / weight } else { Vec3::ZERO }
+                if weight > 0.0 { sum / weight } else { V::default() }
             })
             .collect();
         self.alone.iter().for_each(|&(element, i)| out[element as usize] = values[i as usize]);

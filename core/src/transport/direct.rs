@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::{Canceled, Effort, Work};
+use super::{Canceled, Effort, Value, Work};
 use crate::bvh::Ray;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
@@ -37,15 +37,15 @@ impl DirectLight {
     }
 
     /// irradiance / π at a point with unit normal `n`, light by light added up, from `factor` times the samples.
-    pub(crate) fn estimate(
+    pub(crate) fn estimate<V: Value>(
         &self,
         world: &World,
         (point, n): (Vec3, Vec3),
         factor: u32,
         rng: &mut Pcg32,
         rays: &mut u64,
-    ) -> Vec3 {
-        let mut sum = Vec3::ZERO;
+    ) -> V {
+        let mut sum = V::default();
         for (emitter, &count) in world.emitters.list.iter().zip(&self.samples) {
             if count == 0 || emitter.is_below_horizon(point, n) {
                 continue;
@@ -56,7 +56,7 @@ impl DirectLight {
             for k in 0..count {
                 weight += visible_weight(emitter, world, &world.trees, point, n, sequence.get(k), rays);
             }
-            sum += emitter.strength * (weight / count as f32);
+            sum += V::of_layer(emitter.layer, emitter.strength * (weight / count as f32));
         }
         if self.environment > 0 {
             let (count, sequence) = (self.environment * factor, R2::new(rng));
@@ -71,7 +71,7 @@ impl DirectLight {
                     t_max: f32::INFINITY,
                 }));
             }
-            sum += world.emitters.environment * (free as f32 / count as f32);
+            sum += world.emitters.sky::<V>() * (free as f32 / count as f32);
         }
         sum
     }
@@ -96,22 +96,22 @@ pub(crate) fn visible_weight(
 
 /// One sample of one light, for a vertex of a path. Environment light is the path's own.
 #[inline]
-pub(crate) fn one_light(world: &World, point: Vec3, n: Vec3, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
-    let Some((index, probability)) = world.emitters.choose(point, n, rng.next_f32()) else { return Vec3::ZERO };
+pub(crate) fn one_light<V: Value>(world: &World, point: Vec3, n: Vec3, rng: &mut Pcg32, rays: &mut u64) -> V {
+    let Some((index, probability)) = world.emitters.choose(point, n, rng.next_f32()) else { return V::default() };
     let emitter = &world.emitters.list[index];
     let weight = visible_weight(emitter, world, &world.trees, point, n, rng.next_2d(), rays);
-    emitter.strength * (weight / probability)
+    V::of_layer(emitter.layer, emitter.strength * (weight / probability))
 }
 
 /// Direct light of many elements, from `samples` each, times its effort.
-pub(crate) fn direct_of(
+pub(crate) fn direct_of<V: Value>(
     world: &World,
     slots: &[u32],
     samples: u32,
     effort: &Effort,
     seed: u64,
     work: &Work,
-) -> Result<Vec<Vec3>, Canceled> {
+) -> Result<Vec<V>, Canceled> {
     let direct = DirectLight::new(world, samples);
     let seed = subseed(seed, 0xd1);
     work.map(slots, |_, slot, rays| {

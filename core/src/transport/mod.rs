@@ -7,12 +7,14 @@ pub(crate) mod direct;
 mod effort;
 mod gather;
 mod surfel;
+mod value;
 mod walk;
 
 pub(crate) use direct::DirectLight;
 pub(crate) use effort::Effort;
 pub(crate) use gather::gather;
 pub(crate) use surfel::Surfel;
+pub(crate) use value::{Layered, Value, Wide};
 pub(crate) use walk::{End, Field, Rough, incoming_light, walk};
 
 use std::sync::atomic::{AtomicU64, Ordering};

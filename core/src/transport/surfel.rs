@@ -2,6 +2,7 @@
 
 use glam::Vec3;
 
+use super::Value;
 use crate::bvh::{Hit, Ray};
 use crate::world::World;
 
@@ -99,7 +100,7 @@ impl Surfel {
 
     /// Barycentric look-up.
     #[inline]
-    pub(crate) fn interpolate(&self, elements: [u32; 3], values: &[Vec3]) -> Vec3 {
+    pub(crate) fn interpolate<V: Value>(&self, elements: [u32; 3], values: &[V]) -> V {
         values[elements[0] as usize] * self.weights[0]
             + values[elements[1] as usize] * self.weights[1]
             + values[elements[2] as usize] * self.weights[2]

@@ -5,8 +5,8 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::Surfel;
 use super::direct::one_light;
+use super::{Surfel, Value};
 use crate::bvh::Ray;
 use crate::random::Pcg32;
 use crate::sampling::cosine_hemisphere;
@@ -92,11 +92,11 @@ pub(crate) fn walk(
 
 /// Light to look up where paths land, irradiance / π per slot.
 #[derive(Clone, Copy)]
-pub(crate) struct Field<'a> {
+pub(crate) struct Field<'a, V> {
     /// Straight from lights.
-    pub direct: &'a [Vec3],
+    pub direct: &'a [V],
     /// After at least one bounce; empty where there is none.
-    pub indirect: &'a [Vec3],
+    pub indirect: &'a [V],
     /// Where the direct light must not be looked up.
     pub rough: &'a Rough,
 }
@@ -114,8 +114,8 @@ const ROUGH: f32 = 0.5;
 impl Rough {
     /// Judges by an estimate of the direct light per slot that nothing else uses: the choice must not know the noise of
     /// what it chooses between.
-    pub(crate) fn new(world: &World, direct: &[Vec3]) -> Rough {
-        let light = |e: u32| direct[e as usize].element_sum();
+    pub(crate) fn new<V: Value>(world: &World, direct: &[V], weights: &[Vec3]) -> Rough {
+        let light = |e: u32| direct[e as usize].weighted(weights).element_sum();
         let is_rough = |corners: [u32; 3]| {
             let [a, b, c] = corners.map(light);
             a.max(b).max(c) - a.min(b).min(c) > ROUGH / 3.0 * (a + b + c)
@@ -133,13 +133,14 @@ impl Rough {
     }
 }
 
-impl Field<'_> {
+impl<V: Value> Field<'_, V> {
     /// Light of a surface that a path met, irradiance / π. Near ones get one sample of direct light and nothing else:
     /// the path goes on from there.
     #[inline]
-    pub(crate) fn at(&self, world: &World, surfel: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
+    pub(crate) fn at(&self, world: &World, surfel: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64) -> V {
         let Some(elements) = surfel.elements.filter(|_| !near) else { return light_at(world, surfel, rng, rays) };
-        let indirect = if self.indirect.is_empty() { Vec3::ZERO } else { surfel.interpolate(elements, self.indirect) };
+        let indirect =
+            if self.indirect.is_empty() { V::default() } else { surfel.interpolate(elements, self.indirect) };
         if self.rough.contains(surfel.triangle) {
             return indirect + light_at(world, surfel, rng, rays) + sky_at(world, surfel, rng, rays);
         }
@@ -149,39 +150,39 @@ impl Field<'_> {
 
 /// Reflected radiance that arrives at `origin` from `direction`. What lights send there directly is not in it.
 #[inline]
-pub(crate) fn incoming_light(
+pub(crate) fn incoming_light<V: Value>(
     world: &World,
-    field: &Field,
+    field: &Field<V>,
     origin: Vec3,
     direction: Vec3,
     rng: &mut Pcg32,
     rays: &mut u64,
-) -> Vec3 {
-    let mut radiance = Vec3::ZERO;
+) -> V {
+    let mut radiance = V::default();
     let end = walk(world, origin, direction, rng, rays, |surfel, weight, near, rng, rays| {
-        radiance += weight * surfel.albedo * field.at(world, surfel, near, rng, rays);
+        radiance += field.at(world, surfel, near, rng, rays) * (weight * surfel.albedo);
     });
     if let End::Escaped(weight) = end {
-        radiance += weight * world.emitters.environment;
+        radiance += world.emitters.sky::<V>() * weight;
     }
     radiance
 }
 
 /// Light that a surface gets straight from one of the lights, irradiance / π; the sky's is where a path escapes.
 #[inline]
-fn light_at(world: &World, surfel: &Surfel, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
+fn light_at<V: Value>(world: &World, surfel: &Surfel, rng: &mut Pcg32, rays: &mut u64) -> V {
     one_light(world, surfel.position + surfel.normal * world.epsilon, surfel.normal, rng, rays)
 }
 
 /// Light of the sky at a surface, one sample.
 #[inline]
-fn sky_at(world: &World, surfel: &Surfel, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
+fn sky_at<V: Value>(world: &World, surfel: &Surfel, rng: &mut Pcg32, rays: &mut u64) -> V {
     if world.emitters.environment == Vec3::ZERO {
-        return Vec3::ZERO;
+        return V::default();
     }
     *rays += 1;
     let origin = surfel.position + surfel.normal * world.epsilon;
     let direction = cosine_hemisphere(surfel.normal, rng.next_2d());
     let hidden = world.trees.any_hit(&Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY });
-    if hidden { Vec3::ZERO } else { world.emitters.environment }
+    if hidden { V::default() } else { world.emitters.sky() }
 }

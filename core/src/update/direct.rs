@@ -9,11 +9,8 @@ use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::{Spheres, cosine_hemisphere};
 use crate::solve::Subset;
 use crate::transport::direct::SHADOW_END;
-use crate::transport::{DirectLight, Work};
+use crate::transport::{DirectLight, Value, Work};
 use crate::world::{Emitter, Transition, World};
-
-/// Relative difference up to which lights have changed by the same factor: a few units in the last place of `f32`.
-const SAME_FACTOR: f32 = 1e-6;
 
 /// One light in both worlds.
 struct Pair<'a> {
@@ -65,39 +62,19 @@ impl<'a> DirectChange<'a> {
         DirectChange { transition, pairs, sphere: Spheres::new(&triangles).bounding() }
     }
 
-    /// The factor, per channel, by which all lights have become brighter; none where they differ in that.
-    pub(super) fn common_factor(&self) -> Option<Vec3> {
-        let (before, after) = (&self.transition.before.emitters, &self.transition.after.emitters);
-        let lights = self.pairs.iter().map(|p| (p.before, p.after)).chain([(before.environment, after.environment)]);
-        let mut factor = [None::<f32>; 3];
-        for (before, after) in lights {
-            for (channel, known) in factor.iter_mut().enumerate() {
-                let (before, after) = (before[channel], after[channel]);
-                match *known {
-                    _ if before == 0.0 && after == 0.0 => {}
-                    _ if before == 0.0 => return None,
-                    None => *known = Some(after / before),
-                    Some(known) if (known * before - after).abs() > SAME_FACTOR * after.abs() => return None,
-                    Some(_) => {}
-                }
-            }
-        }
-        Some(Vec3::from(factor.map(|f| f.unwrap_or(1.0))))
-    }
-
     /// Adds ΔD of all rows of `extent` to `out`.
-    pub(super) fn estimate(
+    pub(super) fn estimate<V: Value>(
         &self,
         extent: &Extent,
         subset: &Subset,
         samples: u32,
         seed: u64,
         work: &Work,
-        out: &mut [Vec3],
+        out: &mut [V],
     ) -> Result<(), Canceled> {
         let (before, after) = (&self.transition.before.emitters, &self.transition.after.emitters);
-        let environment = after.environment - before.environment;
-        if self.sphere.is_none() && environment == Vec3::ZERO && self.pairs.iter().all(|p| p.before == p.after) {
+        let environment = after.sky::<V>() - before.sky::<V>();
+        if self.sphere.is_none() && environment == V::default() && self.pairs.iter().all(|p| p.before == p.after) {
             return Ok(());
         }
         let fine = self.change(&extent.fine, environment, samples, seed, work)?;
@@ -106,26 +83,27 @@ impl<'a> DirectChange<'a> {
         Ok(())
     }
 
-    fn change(
+    fn change<V: Value>(
         &self,
         rows: &[u32],
-        environment: Vec3,
+        environment: V,
         samples: u32,
         seed: u64,
         work: &Work,
-    ) -> Result<Vec<Vec3>, Canceled> {
+    ) -> Result<Vec<V>, Canceled> {
         let (before, after) = (&self.transition.before, &self.transition.after);
         let counts = [DirectLight::new(before, samples), DirectLight::new(after, samples)];
         let seed = subseed(seed, 0xdd);
         work.map(rows, |_, slot, rays| {
             let (point, n) = after.ray_origin(slot as usize);
             let mut rng = Pcg32::new(seed, u64::from(slot));
-            let mut sum = Vec3::ZERO;
+            let mut sum = V::default();
             for pair in &self.pairs {
                 let count = counts[usize::from(pair.in_after)].samples[pair.samples_share].max(1);
-                sum += self.pair_change(pair, count, point, n, &mut rng, rays);
+                let change = self.pair_change(pair, count, point, n, &mut rng, rays);
+                sum += V::of_layer(pair.emitter.layer, change);
             }
-            if environment != Vec3::ZERO {
+            if environment != V::default() {
                 sum += environment * self.sky_before(point, n, samples, &mut rng, rays);
             }
             sum

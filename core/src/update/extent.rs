@@ -1,8 +1,7 @@
 //! Where a quantity is estimated element by element, and where it is interpolated from representatives.
 
-use glam::Vec3;
-
 use crate::solve::Subset;
+use crate::transport::Value;
 
 /// A division of some rows.
 pub(super) struct Extent {
@@ -28,15 +27,15 @@ impl Extent {
     }
 
     /// Adds values to all rows: those of `fine` and `representatives`, in that order.
-    pub(super) fn add(&self, subset: &Subset, fine: &[Vec3], representatives: &[Vec3], out: &mut [Vec3]) {
+    pub(super) fn add<V: Value>(&self, subset: &Subset, fine: &[V], representatives: &[V], out: &mut [V]) {
         self.fine.iter().zip(fine).for_each(|(&slot, v)| out[slot as usize] += *v);
         if self.spread.is_empty() {
             return;
         }
-        let mut known = vec![Vec3::ZERO; out.len()];
+        let mut known = vec![V::default(); out.len()];
         self.fine.iter().zip(fine).for_each(|(&slot, v)| known[slot as usize] = *v);
         self.representatives.iter().zip(representatives).for_each(|(&slot, v)| known[slot as usize] = *v);
-        let values: Vec<Vec3> = subset.slots.iter().map(|&slot| known[slot as usize]).collect();
+        let values: Vec<V> = subset.slots.iter().map(|&slot| known[slot as usize]).collect();
         let field = subset.interpolate(&values);
         self.spread.iter().for_each(|&slot| out[slot as usize] += field[slot as usize]);
     }

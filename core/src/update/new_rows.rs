@@ -1,14 +1,12 @@
 //! Elements without an old value: gathered from the old light, with the new direct light, and from one another.
 
-use glam::Vec3;
-
-use super::Updater;
+use super::updater::Updater;
 use crate::job::Canceled;
 use crate::random::{Pcg32, subseed};
 use crate::rounds::Round;
 use crate::solve::{Exchange, Rows, Source};
 use crate::transport::direct::direct_of;
-use crate::transport::{Effort, Field, Rough, Surfel, gather};
+use crate::transport::{Effort, Field, Rough, Surfel, Value, gather};
 
 /// Samples of new rows per sample of the others: they have no old map to lean on (design, section 3.8 c).
 const NEW_ROW_SAMPLES: u32 = 4;
@@ -16,9 +14,9 @@ const NEW_ROW_SAMPLES: u32 = 4;
 /// Samples of the solve among the new rows themselves.
 const SELF_SAMPLES: u32 = 32;
 
-impl Updater<'_> {
+impl<V: Value> Updater<'_, V> {
     /// Direct and indirect light of new rows, written over their slots. `direct` holds ΔD of the static rows.
-    pub(super) fn new_rows(&self, round: &Round, direct: &mut [Vec3], indirect: &mut [Vec3]) -> Result<(), Canceled> {
+    pub(super) fn new_rows(&self, round: &Round<V>, direct: &mut [V], indirect: &mut [V]) -> Result<(), Canceled> {
         let rows = &self.transition.new_rows;
         if rows.is_empty() {
             return Ok(());
@@ -26,8 +24,8 @@ impl Updater<'_> {
         let (world, work) = (self.world, self.work);
         let (samples, nominal) = (round.samples * NEW_ROW_SAMPLES, Effort::default());
         // What they see of the elements that stay: old light, changed direct light.
-        let mut field: Vec<Vec3> = self.old_total.iter().zip(&*direct).map(|(t, d)| *t + *d).collect();
-        let own_direct = direct_of(world, rows, samples, &nominal, subseed(round.seed, 0xd0), work)?;
+        let mut field: Vec<V> = self.old_total.iter().zip(&*direct).map(|(t, d)| *t + *d).collect();
+        let own_direct: Vec<V> = direct_of(world, rows, samples, &nominal, subseed(round.seed, 0xd0), work)?;
         for (&slot, d) in rows.iter().zip(&own_direct) {
             direct[slot as usize] = *d;
             field[slot as usize] = *d;
@@ -47,16 +45,16 @@ impl Updater<'_> {
     }
 
     /// All bounces among the new rows, on their subset: what they gather of the light around them, and of one another.
-    fn self_passes(&self, seed: u64, own_direct: &[Vec3], field: &mut [Vec3]) -> Result<(), Canceled> {
+    fn self_passes(&self, seed: u64, own_direct: &[V], field: &mut [V]) -> Result<(), Canceled> {
         let (world, slots) = (self.world, &self.transition.new_rows);
         let is_new = self.new_flags();
         let rows = Rows::only(&self.subset, |slot| is_new[slot as usize]);
         let rough = Rough::default();
         let light = Field { direct: field, indirect: &[], rough: &rough };
         let source = |_: u32, s: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64| {
-            s.albedo * light.at(world, s, near, rng, rays)
+            light.at(world, s, near, rng, rays) * s.albedo
         };
-        let source = Source { radiance: source, sky: world.emitters.environment };
+        let source = Source { radiance: source, sky: world.emitters.sky() };
         let seed = subseed(seed, 0x5e1f);
         let exchange = Exchange::trace(world, &self.subset, &rows, &source, SELF_SAMPLES, seed, self.work)?;
         let values = exchange.to_representatives(&self.subset, &exchange.all_bounces(&exchange.first));

@@ -12,7 +12,7 @@ use crate::random::{Pcg32, R2, subseed};
 use crate::rounds::Round;
 use crate::sampling::{Mixture, Spheres};
 use crate::solve::Subset;
-use crate::transport::{Surfel, Work};
+use crate::transport::{Surfel, Value, Work};
 use crate::world::{Transition, World};
 
 /// From this part of the hemisphere on an element gets all samples; less coverage, less to know.
@@ -25,9 +25,9 @@ const NEAR_ZONE: f32 = 5.0;
 const FAR_SAMPLES: u32 = 2;
 
 /// Light maps (direct + indirect) to look up, in the slots of their worlds.
-pub(super) struct Maps<'a> {
-    pub before: &'a [Vec3],
-    pub after: &'a [Vec3],
+pub(super) struct Maps<'a, V> {
+    pub before: &'a [V],
+    pub after: &'a [V],
 }
 
 /// Rays towards the geometry of an edit.
@@ -54,15 +54,15 @@ impl<'a> Source<'a> {
 
     /// Adds S to `indirect` and the change of visible sky to `direct`, for all rows of `extent`.
     #[expect(clippy::too_many_arguments, reason = "the state of one pass, named once")]
-    pub(super) fn estimate(
+    pub(super) fn estimate<V: Value>(
         &self,
         extent: &Extent,
         subset: &Subset,
-        maps: &Maps,
-        round: &Round,
+        maps: &Maps<V>,
+        round: &Round<V>,
         work: &Work,
-        direct: &mut [Vec3],
-        indirect: &mut [Vec3],
+        direct: &mut [V],
+        indirect: &mut [V],
     ) -> Result<(), Canceled> {
         if !self.transition.moves_geometry() {
             return Ok(());
@@ -80,23 +80,23 @@ impl<'a> Source<'a> {
     }
 
     /// (change of visible sky, S) of some rows.
-    fn gather(
+    fn gather<V: Value>(
         &self,
         rows: &[u32],
-        maps: &Maps,
+        maps: &Maps<V>,
         samples: u32,
         seed: u64,
         work: &Work,
-    ) -> Result<(Vec<Vec3>, Vec<Vec3>), Canceled> {
+    ) -> Result<(Vec<V>, Vec<V>), Canceled> {
         let full = samples as f32;
         let values = work.map(rows, |_, slot, rays| {
             let (point, n) = self.transition.after.ray_origin(slot as usize);
-            let Some(mixture) = Mixture::new(&self.spheres, point, n) else { return (Vec3::ZERO, Vec3::ZERO) };
+            let Some(mixture) = Mixture::new(&self.spheres, point, n) else { return (V::default(), V::default()) };
             let wanted = full * (mixture.coverage() / FULL_COVERAGE).min(1.0);
             let samples = (wanted.ceil() as u32).max(1);
             let mut rng = Pcg32::new(seed, u64::from(slot));
             let sequence = R2::new(&mut rng);
-            let (mut sky, mut reflected) = (Vec3::ZERO, Vec3::ZERO);
+            let (mut sky, mut reflected) = (V::default(), V::default());
             for k in 0..samples {
                 let direction = mixture.sample(sequence.get(k));
                 let cos = n.dot(direction);
@@ -116,7 +116,7 @@ impl<'a> Source<'a> {
     }
 
     /// Change of (sky radiance, reflected radiance) along a ray; none where both worlds look the same.
-    fn ray_change(&self, ray: &Ray, maps: &Maps, rays: &mut u64) -> Option<(Vec3, Vec3)> {
+    fn ray_change<V: Value>(&self, ray: &Ray, maps: &Maps<V>, rays: &mut u64) -> Option<(V, V)> {
         let t = self.transition;
         let came = closest(t.come.as_deref(), ray, rays);
         let went = closest(t.gone.as_deref(), ray, rays);
@@ -138,7 +138,7 @@ impl<'a> Source<'a> {
             unchanged(&behind, rays)
         };
         let before = if went_t < behind_t { unchanged(&went, rays) } else { unchanged(&behind, rays) };
-        let sky = |world: &World, hidden: bool| if hidden { Vec3::ZERO } else { world.emitters.environment };
+        let sky = |world: &World, hidden: bool| if hidden { V::default() } else { world.emitters.sky() };
         let free = behind.is_none();
         let sky = sky(&t.after, !free || came.is_some()) - sky(&t.after, !free || went.is_some());
         Some((sky, after - before))
@@ -153,7 +153,7 @@ fn closest(tree: Option<&Bvh>, ray: &Ray, rays: &mut u64) -> Option<Hit> {
 }
 
 /// Reflected radiance of a hit in one of the worlds.
-fn look(world: &World, ray: &Ray, hit: Option<&Hit>, map: &[Vec3], rays: &mut u64) -> Vec3 {
-    let Some(surfel) = hit.and_then(|h| Surfel::to_look_up(world, ray, h, rays)) else { return Vec3::ZERO };
-    surfel.elements.map_or(Vec3::ZERO, |e| surfel.albedo * surfel.interpolate(e, map))
+fn look<V: Value>(world: &World, ray: &Ray, hit: Option<&Hit>, map: &[V], rays: &mut u64) -> V {
+    let Some(surfel) = hit.and_then(|h| Surfel::to_look_up(world, ray, h, rays)) else { return V::default() };
+    surfel.elements.map_or(V::default(), |e| surfel.interpolate(e, map) * surfel.albedo)
 }

@@ -12,6 +12,7 @@ use super::motion::{is_rigid, move_light, transformed_light};
 use super::{Geometry, Part, Placed, Transition, Validity, World, WorldError, probe};
 use crate::bvh::{BuildQuality, Bvh, TriangleMask};
 use crate::edit::{Edit, EditError, EditErrorKind, Relight, name_matches};
+use crate::layers::MAX_LAYERS;
 use crate::scene::{Light, LightKind, merge_as_object};
 
 impl World {
@@ -110,6 +111,7 @@ impl Draft {
                 let index = self.light_index("light", light)?;
                 move_light(&mut self.world.scene.lights[index].kind, *position, *direction)
             }
+            Edit::GroupLights { group, lights } => self.group_lights(group.as_deref(), lights),
         }
     }
 
@@ -248,7 +250,33 @@ impl Draft {
         Ok(())
     }
 
+    fn group_lights(&mut self, group: Option<&str>, lights: &[String]) -> Result<(), EditError> {
+        if group.is_some_and(|name| name.is_empty() || name.len() > 256) {
+            return Err(invalid("name", "must have 1 to 256 bytes"));
+        }
+        if lights.is_empty() {
+            return Err(invalid("lights", "is empty"));
+        }
+        for (k, light) in lights.iter().enumerate() {
+            self.light_index(&format!("lights[{k}]"), light)?;
+            match group {
+                Some(group) => self.world.scene.groups.insert(light.clone(), group.to_owned()),
+                None => self.world.scene.groups.remove(light),
+            };
+        }
+        // One layer is left for the lights in no group.
+        let groups: BTreeSet<&String> = self.world.scene.groups.values().collect();
+        if groups.len() >= MAX_LAYERS {
+            let reason = format!("the scene would have more than {} groups of lights", MAX_LAYERS - 1);
+            return Err(error("name", reason, EditErrorKind::TooLarge));
+        }
+        Ok(())
+    }
+
     fn finish(mut self, before: &World) -> Result<Transition, EditError> {
+        let scene = &mut self.world.scene;
+        let names: BTreeSet<&str> = scene.lights.iter().map(|light| light.name.as_str()).collect();
+        scene.groups.retain(|light, _| names.contains(light.as_str()));
         // An object that came and went within the request leaves a trace in `touched` only, which is harmless.
         let changed = !self.gone.is_empty() || !self.come.is_empty();
         let common = self.world.trees.clone();

@@ -65,7 +65,7 @@ impl Emitter {
     /// shadows. Zero only where it brings nothing.
     #[inline]
     fn weight_at(&self, point: Vec3, n: Vec3) -> f32 {
-        let strength = self.strength.element_sum();
+        let strength = self.strength.element_sum() * self.importance;
         if strength <= 0.0 || self.is_below_horizon(point, n) {
             return 0.0;
         }

@@ -7,6 +7,7 @@ use glam::Vec3;
 use crate::bvh::{Hit, Ray};
 use crate::sampling::{Discrete, SphericalTriangle, uniform_barycentrics};
 use crate::scene::{Light, LightKind};
+use crate::transport::Value;
 
 /// Emitters of at most so many triangles are sampled by the solid angle of all of them from near.
 const FEW: usize = 4;
@@ -60,6 +61,10 @@ pub(crate) struct Emitter {
     pub shape: Shape,
     /// Radiance, candela or lux.
     pub strength: Vec3,
+    /// Layer that its light is carried in; 0 where light is not told apart.
+    pub layer: u32,
+    /// How much its samples matter beside those of others at the same strength.
+    pub importance: f32,
     /// Key of the object it belongs to, for emissive surfaces.
     pub object: Option<u32>,
 }
@@ -82,11 +87,28 @@ pub(crate) struct Emitters {
     pub list: Vec<Emitter>,
     /// By power, for paths that follow one light at a time.
     pub choice: Option<Discrete>,
-    /// Constant radiance from outside.
+    /// Constant radiance from outside, all of it.
     pub environment: Vec3,
+    /// The same by layer.
+    pub skies: Vec<(u32, Vec3)>,
+    /// m.
+    pub scene_radius: f32,
 }
 
 impl Emitters {
+    /// Of lights that are resolved already. `scene_radius` (m) tells the power of parallel light.
+    pub(crate) fn of(list: Vec<Emitter>, skies: Vec<(u32, Vec3)>, scene_radius: f32) -> Emitters {
+        let choice = Discrete::new(list.iter().map(|e| f64::from(e.power(scene_radius) * e.importance)));
+        let environment = skies.iter().map(|(_, radiance)| *radiance).sum();
+        Emitters { list, choice, environment, skies, scene_radius }
+    }
+
+    /// Radiance from outside.
+    #[inline]
+    pub(crate) fn sky<V: Value>(&self) -> V {
+        self.skies.iter().map(|&(layer, radiance)| V::of_layer(layer, radiance)).sum()
+    }
+
     /// Resolves lights; `triangles` gives the emissive triangles of (object name, material) and the object's key.
     pub(crate) fn new(
         lights: &[Light],
@@ -94,13 +116,13 @@ impl Emitters {
         scene_radius: f32,
         triangles: impl Fn(&str, u32) -> Option<(u32, Vec<EmissiveTriangle>, bool)>,
     ) -> Emitters {
-        let mut environment = Vec3::ZERO;
+        let mut skies = Vec::new();
         let mut list = Vec::new();
         for light in lights {
             let strength = light.strength();
             let (shape, object) = match &light.kind {
                 LightKind::Environment => {
-                    environment += strength;
+                    skies.push((0, strength));
                     continue;
                 }
                 LightKind::Emissive { object, material } => match triangles(object, *material) {
@@ -118,10 +140,9 @@ impl Emitters {
                 }
                 LightKind::Directional { direction } => (Shape::Directional { direction: *direction }, None),
             };
-            list.push(Emitter { name: light.name.clone(), shape, strength, object });
+            list.push(Emitter { name: light.name.clone(), shape, strength, layer: 0, importance: 1.0, object });
         }
-        let choice = Discrete::new(list.iter().map(|e| f64::from(e.power(scene_radius))));
-        Emitters { list, choice, environment }
+        Emitters::of(list, skies, scene_radius)
     }
 }
 
@@ -148,7 +169,7 @@ fn attenuation(distance2: f32, range: Option<f32>) -> f32 {
 
 impl Emitter {
     /// Flux at unit-free scale, for choosing between lights only.
-    fn power(&self, scene_radius: f32) -> f32 {
+    pub(crate) fn power(&self, scene_radius: f32) -> f32 {
         use std::f32::consts::PI;
         let mean = self.strength.element_sum() / 3.0;
         mean * match &self.shape {

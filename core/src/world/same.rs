@@ -24,7 +24,7 @@ impl World {
             lights.sort_by(|a, b| a.name.cmp(&b.name));
             lights
         };
-        sorted(self) == sorted(other)
+        sorted(self) == sorted(other) && self.scene.groups == other.scene.groups
     }
 
     fn has_objects_of(&self, other: &World) -> bool {

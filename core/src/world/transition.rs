@@ -7,6 +7,7 @@ use glam::Vec3;
 
 use super::{Placed, Trees, World, build};
 use crate::bvh::Bvh;
+use crate::layers::Layer;
 use crate::lightmap::LightMap;
 
 /// From one world to the next: what an update needs to know.
@@ -43,13 +44,41 @@ impl std::fmt::Debug for Transition {
 impl Transition {
     /// The old map in the slots of the new world: old values where elements stay, zero where they go or come.
     pub fn carry_over(&self, map: &LightMap) -> LightMap {
-        let mut next = LightMap::black(self.after.slots());
+        let layer = |layer: &Arc<Layer>| {
+            Arc::new(Layer {
+                name: layer.name.clone(),
+                lights: layer.lights.clone(),
+                direct: self.carry(&layer.direct, 1),
+                indirect: self.carry(&layer.indirect, 1),
+                variance: self.carry(&layer.variance, 1),
+            })
+        };
+        let layers = if self.keeps_slots() { map.layers.clone() } else { map.layers.iter().map(layer).collect() };
+        LightMap {
+            direct: self.carry(&map.direct, 1),
+            indirect: self.carry(&map.indirect, 1),
+            variance: self.carry(&map.variance, 1),
+            layers,
+        }
+    }
+
+    /// Whether every slot holds the same element in both worlds.
+    fn keeps_slots(&self) -> bool {
+        Arc::ptr_eq(&self.before.geometry, &self.after.geometry)
+    }
+
+    /// Values in the slots of the new world, `per_slot` side by side.
+    pub(crate) fn carry<T: Copy + Default>(&self, values: &[T], per_slot: usize) -> Vec<T> {
+        if self.keeps_slots() {
+            return values.to_vec();
+        }
+        let mut next = vec![T::default(); self.after.slots() * per_slot];
         let (old, new) = (&self.before.geometry.owners, &self.after.geometry.owners);
-        for i in 0..old.len().min(new.len()).min(map.len()) {
+        let known = values.len().checked_div(per_slot).unwrap_or(0);
+        for i in 0..old.len().min(new.len()).min(known) {
             if old[i] == new[i] && new[i] != super::NO_OBJECT {
-                next.direct[i] = map.direct[i];
-                next.indirect[i] = map.indirect[i];
-                next.variance[i] = map.variance[i];
+                let range = i * per_slot..(i + 1) * per_slot;
+                next[range.clone()].copy_from_slice(&values[range]);
             }
         }
         next
@@ -77,6 +106,18 @@ impl Transition {
         let (before, after) = (&self.before.placed, &self.after.placed);
         let gone = only(before, after).into_iter().map(|i| &*before[i]);
         gone.chain(only(after, before).into_iter().map(|i| &*after[i])).collect()
+    }
+
+    /// Change of albedo per part of the new world.
+    pub(crate) fn repaint(&self) -> Vec<Vec3> {
+        let before = &self.before.parts;
+        let change = |(i, part): (usize, &super::Part)| before.get(i).map_or(Vec3::ZERO, |b| part.albedo - b.albedo);
+        self.after.parts.iter().enumerate().map(change).collect()
+    }
+
+    /// Whether an albedo changed.
+    pub(crate) fn repaints_anything(&self) -> bool {
+        self.repaint().iter().any(|change| *change != Vec3::ZERO)
     }
 
     /// Whether geometry changed (and not only light or albedo).

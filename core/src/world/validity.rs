@@ -10,6 +10,7 @@ use super::{Placed, Trees, World};
 use crate::bvh::Ray;
 use crate::random::Pcg32;
 use crate::sampling::cosine_hemisphere;
+use crate::transport::Value;
 
 /// First a few rays; elements that meet a back are asked again with all.
 const FIRST_RAYS: u32 = 6;
@@ -94,18 +95,20 @@ impl Validity {
     }
 
     /// Gives invalid slots the values of their neighbours.
-    pub(crate) fn fill(&self, values: &mut [Vec3]) {
+    pub(crate) fn fill<V: Value>(&self, values: &mut [V]) {
         for fill in &self.fills {
-            let sum: Vec3 = fill.sources.iter().map(|&s| values[s as usize]).sum();
+            let sum: V = fill.sources.iter().map(|&s| values[s as usize]).sum();
             values[fill.target as usize] = sum / fill.sources.len() as f32;
         }
     }
 
-    /// The same for scalars.
-    pub(crate) fn fill_scalars(&self, values: &mut [f32]) {
+    /// The same for scalars, of which every slot has some side by side.
+    pub(crate) fn fill_scalars(&self, values: &mut [f32], per_slot: usize) {
         for fill in &self.fills {
-            let sum: f32 = fill.sources.iter().map(|&s| values[s as usize]).sum();
-            values[fill.target as usize] = sum / fill.sources.len() as f32;
+            for k in 0..per_slot {
+                let sum: f32 = fill.sources.iter().map(|&s| values[s as usize * per_slot + k]).sum();
+                values[fill.target as usize * per_slot + k] = sum / fill.sources.len() as f32;
+            }
         }
     }
 }

@@ -65,7 +65,7 @@ fn absorb(edits: &mut [Option<Edit>], later: usize) {
                 *slot = None;
             }
         }
-        Some(Edit::Insert { .. } | Edit::InsertLight { .. }) | None => {}
+        Some(Edit::Insert { .. } | Edit::InsertLight { .. } | Edit::GroupLights { .. }) | None => {}
     }
 }
 
@@ -174,6 +174,12 @@ fn light_vanishes(before: &mut [Option<Edit>], light: &str) -> bool {
         return false;
     }
     for slot in &mut before[came..] {
+        if let Some(Edit::GroupLights { lights, .. }) = slot {
+            lights.retain(|name| name != light);
+            if lights.is_empty() {
+                *slot = None;
+            }
+        }
         if slot.as_ref().is_some_and(|edit| names_light(edit, light)) {
             *slot = None;
         }
@@ -197,7 +203,7 @@ mod tests {
     #[derive(Clone, Debug, Default, PartialEq)]
     struct Model {
         objects: BTreeMap<String, (DMat4, Vec3)>,
-        lights: BTreeMap<String, (Vec3, f32, DVec3)>,
+        lights: BTreeMap<String, (Vec3, f32, DVec3, Option<String>)>,
     }
 
     impl Model {
@@ -227,7 +233,7 @@ mod tests {
                     }
                 }
                 Edit::InsertLight { name, color, intensity, .. } => {
-                    if self.lights.insert(name.clone(), (*color, *intensity, DVec3::ZERO)).is_some() {
+                    if self.lights.insert(name.clone(), (*color, *intensity, DVec3::ZERO, None)).is_some() {
                         return None;
                     }
                 }
@@ -237,6 +243,11 @@ mod tests {
                 Edit::MoveLight { light, position, .. } => {
                     let light = self.lights.get_mut(light)?;
                     light.2 = position.unwrap_or(light.2);
+                }
+                Edit::GroupLights { group, lights } => {
+                    for light in lights {
+                        self.lights.get_mut(light)?.3 = group.clone();
+                    }
                 }
             }
             Some(self)
@@ -253,12 +264,14 @@ mod tests {
                 origin: DVec3::ZERO,
                 objects: Vec::new(),
                 lights: Vec::new(),
+                groups: BTreeMap::new(),
                 cameras: Vec::new(),
                 warnings: Vec::new(),
                 degenerate_triangles: 0,
             })
         };
-        match dice.roll(9) {
+        match dice.roll(10) {
+            9 => Edit::GroupLights { group: Some(name(dice)), lights: vec![object] },
             0 => Edit::Insert { asset: asset(), name: object, transform },
             1 => Edit::Remove { objects: vec![object] },
             2 => Edit::Remove { objects: vec![format!("{object}*")] },

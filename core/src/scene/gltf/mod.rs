@@ -108,6 +108,7 @@ pub fn load_glb(bytes: &[u8], limits: &LoadLimits) -> Result<Scene, LoadError> {
         origin: choose_origin(bounds),
         objects: objects.into_iter().map(|(object, _)| object).collect(),
         lights,
+        groups: std::collections::BTreeMap::new(),
         cameras,
         warnings: warnings.into_texts(),
         degenerate_triangles,

@@ -29,7 +29,12 @@ pub(super) fn decode_map(bytes: &[u8]) -> Option<LightMap> {
     }
     let (vectors, variance) = rest.split_at(len * 24);
     let (direct, indirect) = vectors.split_at(len * 12);
-    Some(LightMap { direct: vec3s(direct), indirect: vec3s(indirect), variance: floats(variance).collect() })
+    Some(LightMap {
+        direct: vec3s(direct),
+        indirect: vec3s(indirect),
+        variance: floats(variance).collect(),
+        layers: Vec::new(),
+    })
 }
 
 /// The bytes of versions per slot. Neighbours mostly have the same: zstd makes next to nothing of them.

@@ -1,0 +1,195 @@
+//! Light layers (Nielsen and Christensen 2000): light tagged with the lights that it stems from, so that a change of
+//! colour or intensity is a weighted sum and needs no ray.
+//!
+//! A layer holds the light of one light or of a group at *reference strengths*; its weight is the present strength over
+//! the reference, the same for all its lights. The light map is the sum of weight × layer. A map has no layers until
+//! somebody relights a light or groups lights: "model only what a scene needs".
+
+mod plan;
+mod stack;
+mod update;
+
+use std::sync::Arc;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use crate::lightmap::LightMap;
+use crate::scene::Scene;
+use crate::world::{Emitters, World};
+
+pub(crate) use plan::{Header, groups_of, headers_of_layers};
+pub(crate) use stack::Stack;
+pub(crate) use update::{update_layers, with_layers};
+
+/// A map has at most so many layers. Where more lights are relit one by one, those that are left share a layer.
+pub const MAX_LAYERS: usize = 16;
+
+/// Name of the layer of the lights that share one by default.
+pub const SHARED_LAYER: &str = "shared";
+
+/// The light of one light, or of a group, at reference strengths.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Layer {
+    /// Unique among the layers of a map: the name of its light or group.
+    pub name: String,
+    /// Its lights.
+    pub lights: Vec<LayerLight>,
+    /// Straight from its lights, irradiance / π per slot.
+    pub direct: Vec<Vec3>,
+    /// After at least one bounce.
+    pub indirect: Vec<Vec3>,
+    /// Estimated variance of direct + indirect, mean over RGB.
+    pub variance: Vec<f32>,
+}
+
+/// A light of a layer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LayerLight {
+    /// Name of the light.
+    pub name: String,
+    /// Strength (color × intensity) that the layer holds its light at.
+    pub reference: Vec3,
+}
+
+/// Relative difference up to which two strengths count as the same: a few units in the last place of `f32`.
+const SAME_STRENGTH: f32 = 1e-6;
+
+/// What a layer weighs in a scene, per channel: the factor from all its lights' references to their strengths. None where
+/// they differ in it. Lights that the scene does not have do not count.
+pub(crate) fn weight_of(lights: &[LayerLight], scene: &Scene) -> Option<Vec3> {
+    let mut weight = [None::<f32>; 3];
+    for light in lights {
+        let Some(strength) = strength_of(scene, &light.name) else { continue };
+        for (channel, known) in weight.iter_mut().enumerate() {
+            let (reference, now) = (light.reference[channel], strength[channel]);
+            match *known {
+                _ if reference == 0.0 && now == 0.0 => {}
+                _ if reference == 0.0 => return None,
+                None => *known = Some(now / reference),
+                Some(known) if (known * reference - now).abs() > SAME_STRENGTH * now.abs() => return None,
+                Some(_) => {}
+            }
+        }
+    }
+    Some(Vec3::from(weight.map(|w| w.unwrap_or(1.0))))
+}
+
+/// `color × intensity` of a light of a scene.
+pub(crate) fn strength_of(scene: &Scene, name: &str) -> Option<Vec3> {
+    scene.lights.iter().find(|light| light.name == name).map(|light| light.strength())
+}
+
+impl LightMap {
+    /// What every layer weighs in `scene`.
+    pub fn layer_weights(&self, scene: &Scene) -> Vec<Vec3> {
+        self.layers.iter().map(|layer| weight_of(&layer.lights, scene).unwrap_or(Vec3::ONE)).collect()
+    }
+
+    /// The layer of a light; none where the map has no layers, or none of that light.
+    pub fn layer_of(&self, light: &str) -> Option<&Arc<Layer>> {
+        self.layers.iter().find(|layer| layer.lights.iter().any(|l| l.name == light))
+    }
+
+    /// Bytes of values, those of layers included.
+    pub fn memory_bytes(&self) -> usize {
+        const SLOT: usize = 2 * size_of::<Vec3>() + size_of::<f32>();
+        self.len() * SLOT + self.layers.iter().map(|layer| layer.direct.len() * SLOT).sum::<usize>()
+    }
+}
+
+/// The map that layers make with their weights. The stated variance takes `correlation` between layers as it is.
+pub(crate) fn whole(layers: Vec<Arc<Layer>>, weights: &[Vec3], correlation: f64) -> LightMap {
+    let len = layers.first().map_or(0, |layer| layer.direct.len());
+    let sum = |part: fn(&Layer) -> &[Vec3]| -> Vec<Vec3> {
+        let mut out = vec![Vec3::ZERO; len];
+        out.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, out)| {
+            for (layer, weight) in layers.iter().zip(weights) {
+                let values = &part(layer)[chunk * CHUNK..][..out.len()];
+                out.iter_mut().zip(values).for_each(|(o, v)| *o += *v * *weight);
+            }
+        });
+        out
+    };
+    let (direct, indirect) = (sum(|l| &l.direct), sum(|l| &l.indirect));
+    let correlation = correlation as f32;
+    let factors: Vec<f32> = weights.iter().map(|w| w.length_squared() / 3.0).collect();
+    let variance = |slot: usize| {
+        let (mut independent, mut equal) = (0.0, 0.0);
+        for (layer, factor) in layers.iter().zip(&factors) {
+            let variance = layer.variance[slot] * factor;
+            independent += variance;
+            equal += variance.sqrt();
+        }
+        independent + correlation * (equal * equal - independent)
+    };
+    let variance = (0..len).into_par_iter().with_min_len(CHUNK).map(variance).collect();
+    LightMap { direct, indirect, variance, layers }
+}
+
+/// Slots per task: two parts of it fit in the cache.
+const CHUNK: usize = 4096;
+
+/// How much the errors of layers, which share their rays, have in common: 0 not at all, 1 they are the same. From the
+/// variance of the whole, which was measured, and those of its layers.
+pub(crate) fn correlation(map: &LightMap, weights: &[Vec3]) -> f64 {
+    if map.layers.len() < 2 {
+        return 0.0;
+    }
+    let factors: Vec<f32> = weights.iter().map(|w| w.length_squared() / 3.0).collect();
+    let (mut measured, mut independent, mut equal) = (0.0f64, 0.0f64, 0.0f64);
+    for slot in 0..map.len() {
+        let (mut sum, mut root) = (0.0, 0.0);
+        for (layer, factor) in map.layers.iter().zip(&factors) {
+            let variance = layer.variance[slot] * factor;
+            sum += variance;
+            root += variance.sqrt();
+        }
+        measured += f64::from(map.variance[slot]);
+        independent += f64::from(sum);
+        equal += f64::from(root * root);
+    }
+    if equal > independent { ((measured - independent) / (equal - independent)).clamp(0.0, 1.0) } else { 0.0 }
+}
+
+/// A layer gets at least this part of the samples that its power at reference strength would get it: it may be made
+/// brighter at any time.
+const LEAST_IMPORTANCE: f32 = 0.05;
+
+impl World {
+    /// This world with the lights of some layers only, at reference strengths, each tagged with its layer's position in
+    /// `layers`. `weights` tell how much their samples matter.
+    pub(crate) fn only_layers(&self, layers: &[&Header], weights: &[Vec3]) -> World {
+        let (mut list, mut skies) = (Vec::new(), Vec::new());
+        for (index, layer) in layers.iter().enumerate() {
+            for light in &layer.lights {
+                for emitter in self.emitters.list.iter().filter(|e| e.name == light.name) {
+                    list.push(crate::world::Emitter {
+                        strength: light.reference,
+                        layer: index as u32,
+                        ..emitter.clone()
+                    });
+                }
+                let is_sky = |l: &&crate::scene::Light| {
+                    l.name == light.name && matches!(l.kind, crate::scene::LightKind::Environment)
+                };
+                if self.scene.lights.iter().any(|l| is_sky(&l)) {
+                    skies.push((index as u32, light.reference));
+                }
+            }
+        }
+        let radius = self.emitters.scene_radius;
+        let power = |layer: u32, list: &[crate::world::Emitter]| -> f32 {
+            list.iter().filter(|e| e.layer == layer).map(|e| e.power(radius)).sum()
+        };
+        let powers: Vec<f32> = (0..layers.len() as u32).map(|layer| power(layer, &list)).collect();
+        let mean_weight = |w: &Vec3| w.element_sum() / 3.0;
+        let total: f32 = powers.iter().zip(weights).map(|(p, w)| p * mean_weight(w)).sum();
+        for emitter in &mut list {
+            let (power, weight) = (powers[emitter.layer as usize], mean_weight(&weights[emitter.layer as usize]));
+            let least = if total > 0.0 { LEAST_IMPORTANCE * total } else { 1.0 };
+            emitter.importance = if power > 0.0 { weight.max(least / power) } else { 0.0 };
+        }
+        World { emitters: Arc::new(Emitters::of(list, skies, radius)), ..self.clone() }
+    }
+}

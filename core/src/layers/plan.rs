@@ -1,0 +1,303 @@
+//! Which layers a map has after an edit, and what they are made of. Decisions only: nothing is computed here.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use glam::Vec3;
+
+use super::{LayerLight, MAX_LAYERS, SHARED_LAYER, strength_of, weight_of};
+use crate::lightmap::LightMap;
+use crate::scene::Scene;
+
+/// A layer without its values.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Header {
+    pub name: String,
+    pub lights: Vec<LayerLight>,
+}
+
+/// What a layer is put together from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Piece {
+    /// A layer of the old map, by position.
+    Old(usize),
+    /// Light of lights that leave their layer, by position in [`Plan::leaving`].
+    Leaving(usize),
+}
+
+/// A layer and its pieces, each with its factor.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Planned {
+    pub header: Header,
+    pub pieces: Vec<(Piece, Vec3)>,
+}
+
+/// From the layers of a map to those after an edit.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Plan {
+    /// Lights whose own light has to be computed in the old scene, because they leave a layer that others stay in.
+    pub leaving: Vec<Header>,
+    /// The old light in its new layers. Those whose lights are all gone come without a place in the new map.
+    pub regrouped: Vec<Planned>,
+    /// Layers of the new map, with the position in `regrouped` of those that are not new.
+    pub after: Vec<(Header, Option<usize>)>,
+    /// Positions in `after` whose lights come, go, move or change unlike one another.
+    pub changed: Vec<usize>,
+}
+
+/// Headers of the layers of a map; one of all lights, at their present strength, where it has none.
+pub(super) fn headers_of(map: &LightMap, scene: &Scene) -> Vec<Header> {
+    if map.layers.is_empty() {
+        return vec![Header { name: SHARED_LAYER.to_owned(), lights: at_present(scene, |_| true) }];
+    }
+    headers_of_layers(map)
+}
+
+/// Headers of the layers that a map has.
+pub(crate) fn headers_of_layers(map: &LightMap) -> Vec<Header> {
+    map.layers.iter().map(|layer| Header { name: layer.name.clone(), lights: layer.lights.clone() }).collect()
+}
+
+/// Layers of a scene that is baked: one per group, one of the lights in none; empty where there is no group.
+pub(crate) fn groups_of(scene: &Scene) -> Vec<Header> {
+    if scene.groups.is_empty() {
+        return Vec::new();
+    }
+    let mut groups: BTreeMap<&str, Header> = BTreeMap::new();
+    for light in &scene.lights {
+        let name = scene.groups.get(&light.name).map_or(SHARED_LAYER, String::as_str);
+        let header = groups.entry(name).or_insert_with(|| Header { name: name.to_owned(), lights: Vec::new() });
+        header.lights.push(LayerLight { name: light.name.clone(), reference: light.strength() });
+    }
+    let mut headers: Vec<Header> = groups.into_values().collect();
+    headers.iter_mut().for_each(at_unit);
+    headers
+}
+
+fn at_present(scene: &Scene, wanted: impl Fn(&str) -> bool) -> Vec<LayerLight> {
+    let lights = scene.lights.iter().filter(|light| wanted(&light.name));
+    lights.map(|light| LayerLight { name: light.name.clone(), reference: light.strength() }).collect()
+}
+
+/// A light alone in its layer is held at unit emission.
+fn at_unit(header: &mut Header) {
+    if let [light] = header.lights.as_mut_slice() {
+        light.reference = Vec3::ONE;
+    }
+}
+
+/// Whether an edit asks for layers, or the map has some.
+pub(super) fn wants_layers(before: &Scene, after: &Scene, map: &LightMap) -> bool {
+    let relit = |light: &crate::scene::Light| strength_of(before, &light.name).is_some_and(|s| s != light.strength());
+    !map.layers.is_empty() || !after.groups.is_empty() || after.lights.iter().any(relit)
+}
+
+/// Where a light goes when its layer is divided.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Target {
+    Stays,
+    Group(String),
+    Alone(String),
+}
+
+impl Plan {
+    pub(super) fn new(before: &Scene, after: &Scene, map: &LightMap) -> Plan {
+        let mut plan = Plan::default();
+        let old = headers_of(map, before);
+        let mut places = Places::new(&old);
+        for (index, header) in old.iter().enumerate() {
+            plan.divide(index, header, before, after, &mut places);
+        }
+        plan.settle(before, after);
+        plan
+    }
+
+    /// Puts the lights of an old layer where they belong.
+    fn divide(&mut self, index: usize, header: &Header, before: &Scene, after: &Scene, places: &mut Places) {
+        let mut targets: BTreeMap<Target, Vec<LayerLight>> = BTreeMap::new();
+        for (light, target) in header.lights.iter().zip(targets_of(header, before, after, places)) {
+            targets.entry(target).or_default().push(light.clone());
+        }
+        let whole = targets.len() == 1;
+        let mut rest = vec![(Piece::Old(index), Vec3::ONE)];
+        let mut heir = None;
+        for (k, (target, lights)) in targets.into_iter().enumerate() {
+            // What is left when all others have left belongs to the first: those that stay, where there are any.
+            if k == 0 {
+                heir = Some((target, lights));
+                continue;
+            }
+            let piece = Piece::Leaving(self.leaving.len());
+            let mut leaving = Header { name: String::new(), lights: lights.clone() };
+            let single = matches!(target, Target::Alone(_));
+            if single {
+                at_unit(&mut leaving);
+            }
+            rest.push((piece, if single { -lights[0].reference } else { Vec3::NEG_ONE }));
+            self.leaving.push(leaving.clone());
+            self.join(target, leaving.lights, vec![(piece, Vec3::ONE)], before, header);
+        }
+        if let Some((target, lights)) = heir {
+            let lights = if whole { header.lights.clone() } else { lights };
+            self.join(target, lights, rest, before, header);
+        }
+    }
+
+    /// Adds lights, whose light at reference strength is `pieces`, to the layer of their target.
+    fn join(
+        &mut self,
+        target: Target,
+        lights: Vec<LayerLight>,
+        pieces: Vec<(Piece, Vec3)>,
+        before: &Scene,
+        from: &Header,
+    ) {
+        let name = match &target {
+            Target::Stays => from.name.clone(),
+            Target::Group(name) | Target::Alone(name) => name.clone(),
+        };
+        let same_group = |p: &&mut Planned| matches!(target, Target::Group(_)) && p.header.name == name;
+        let Some(there) = self.regrouped.iter_mut().find(same_group) else {
+            let name = self.free_name(name);
+            self.regrouped.push(Planned { header: Header { name, lights }, pieces });
+            return;
+        };
+        // Layers of different weight are joined at present strength.
+        let mut new = Planned { header: Header { name, lights }, pieces };
+        there.fold(before);
+        new.fold(before);
+        there.header.lights.extend(new.header.lights);
+        there.pieces.extend(new.pieces);
+    }
+
+    fn free_name(&self, name: String) -> String {
+        let mut free = name;
+        while self.regrouped.iter().any(|p| p.header.name == free) {
+            free.push('\'');
+        }
+        free
+    }
+
+    /// The layers after the edit.
+    fn settle(&mut self, before: &Scene, after: &Scene) {
+        for (index, planned) in self.regrouped.iter().enumerate() {
+            let mut header = planned.header.clone();
+            header.lights.retain(|light| strength_of(after, &light.name).is_some());
+            if header.lights.is_empty() && !planned.header.lights.is_empty() {
+                continue;
+            }
+            let gone = header.lights.len() < planned.header.lights.len();
+            let uneven = weight_of(&header.lights, after).is_none();
+            let moved = header.lights.iter().any(|light| kind_of(before, &light.name) != kind_of(after, &light.name));
+            if gone || uneven || moved {
+                self.changed.push(self.after.len());
+            }
+            self.after.push((header, Some(index)));
+        }
+        let came = after.lights.iter().filter(|light| strength_of(before, &light.name).is_none());
+        let joined: BTreeSet<usize> =
+            came.filter_map(|light| self.add_new(after, &light.name, light.strength())).collect();
+        for (k, (header, origin)) in self.after.iter_mut().enumerate() {
+            if joined.contains(&k) || weight_of(&header.lights, after).is_none() {
+                if let Some(index) = *origin {
+                    self.regrouped[index].fold(before);
+                }
+                let names: Vec<&str> = header.lights.iter().map(|l| l.name.as_str()).collect();
+                header.lights = at_present(after, |name| names.contains(&name));
+            }
+        }
+    }
+
+    /// A light that came with the edit: in its group's layer, in one of its own, or where there is no place in the
+    /// first. Answers the layer that it joined, which has to be held at present strength then.
+    fn add_new(&mut self, after: &Scene, name: &str, strength: Vec3) -> Option<usize> {
+        let group = after.groups.get(name);
+        let mut place = self.after.iter().position(|(header, _)| Some(&header.name) == group);
+        if place.is_none() && self.after.len() >= MAX_LAYERS {
+            place = Some(0);
+        }
+        let light = LayerLight { name: name.to_owned(), reference: strength };
+        if let Some(place) = place {
+            self.after[place].0.lights.push(light);
+            if !self.changed.contains(&place) {
+                self.changed.push(place);
+            }
+            return Some(place);
+        }
+        let name = group.map_or(name, String::as_str).to_owned();
+        let taken = |name: &str| self.after.iter().any(|(header, _)| header.name == name);
+        let name = if taken(&name) { format!("{name}'") } else { name };
+        let mut header = Header { name, lights: vec![light] };
+        if group.is_none() {
+            at_unit(&mut header);
+        }
+        self.changed.push(self.after.len());
+        self.after.push((header, None));
+        None
+    }
+}
+
+impl Planned {
+    /// Holds the light of a layer at the strength before the edit: its weight becomes 1.
+    fn fold(&mut self, before: &Scene) {
+        let weight = weight_of(&self.header.lights, before).unwrap_or(Vec3::ONE);
+        self.header.lights.iter_mut().for_each(|l| l.reference *= weight);
+        self.pieces.iter_mut().for_each(|(_, factor)| *factor *= weight);
+    }
+}
+
+/// How many layers there may be more, and which there are.
+struct Places {
+    left: usize,
+    known: BTreeSet<String>,
+}
+
+impl Places {
+    fn new(old: &[Header]) -> Places {
+        let known = old.iter().map(|header| header.name.clone()).collect();
+        Places { left: MAX_LAYERS.saturating_sub(old.len()), known }
+    }
+
+    fn take(&mut self, name: &str) -> bool {
+        if self.known.contains(name) {
+            return true;
+        }
+        let free = self.left > 0;
+        if free {
+            self.left -= 1;
+            self.known.insert(name.to_owned());
+        }
+        free
+    }
+}
+
+/// Where the lights of a layer go, in their order.
+fn targets_of(header: &Header, before: &Scene, after: &Scene, places: &mut Places) -> Vec<Target> {
+    let group =
+        |light: &LayerLight| after.groups.get(&light.name).filter(|_| strength_of(after, &light.name).is_some());
+    let stay: Vec<&LayerLight> = header.lights.iter().filter(|light| group(light).is_none()).collect();
+    let kept = lights_that_keep(&stay, before, after);
+    let target = |light: &LayerLight| match group(light) {
+        Some(group) if places.take(group) => Target::Group(group.clone()),
+        None if !kept.contains(&light.name) && places.take(&light.name) => Target::Alone(light.name.clone()),
+        _ => Target::Stays,
+    };
+    header.lights.iter().map(target).collect()
+}
+
+/// Of lights that may change unlike one another, the names of those that stay together: those of the most common
+/// factor, and rather those that do not change. Lights that go stay with them.
+fn lights_that_keep(lights: &[&LayerLight], before: &Scene, after: &Scene) -> BTreeSet<String> {
+    let fits = |light: &LayerLight, to: &LayerLight| {
+        strength_of(after, &light.name).is_none() || weight_of(&[light.clone(), to.clone()], after).is_some()
+    };
+    let fitting = |to: &LayerLight| lights.iter().filter(|light| fits(light, to)).count();
+    let is_steady = |light: &LayerLight| strength_of(before, &light.name) == strength_of(after, &light.name);
+    let candidates = lights.iter().filter(|light| strength_of(after, &light.name).is_some());
+    let best = candidates.max_by_key(|light| (fitting(light), is_steady(light)));
+    let kept = lights.iter().filter(|light| best.is_none_or(|best| fits(light, best)));
+    kept.map(|light| light.name.clone()).collect()
+}
+
+fn kind_of<'a>(scene: &'a Scene, name: &str) -> Option<&'a crate::scene::LightKind> {
+    scene.lights.iter().find(|light| light.name == name).map(|light| &light.kind)
+}

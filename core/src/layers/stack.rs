@@ -1,0 +1,170 @@
+//! Layers as transport computes them: side by side per slot.
+
+use std::sync::Arc;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::{Header, Layer};
+use crate::accumulate::Accumulator;
+use crate::lightmap::LightMap;
+use crate::transport::Value;
+use crate::world::{Transition, Validity};
+
+/// Light of some layers per slot.
+#[derive(Clone, Debug)]
+pub(crate) struct Stack<V> {
+    /// Straight from lights.
+    pub direct: Vec<V>,
+    /// After at least one bounce.
+    pub indirect: Vec<V>,
+    /// Variance of the weighted sum of all layers, mean over RGB.
+    pub variance: Vec<f32>,
+    /// Variance of every layer, those of a slot side by side; empty for one layer.
+    pub layer_variance: Vec<f32>,
+}
+
+impl Stack<Vec3> {
+    /// All light of a map together.
+    pub(crate) fn of_whole(map: &LightMap) -> Stack<Vec3> {
+        Stack {
+            direct: map.direct.clone(),
+            indirect: map.indirect.clone(),
+            variance: map.variance.clone(),
+            layer_variance: Vec::new(),
+        }
+    }
+
+    /// A map without layers.
+    pub(crate) fn into_map(self) -> LightMap {
+        LightMap { direct: self.direct, indirect: self.indirect, variance: self.variance, layers: Vec::new() }
+    }
+}
+
+impl<V: Value> Stack<V> {
+    /// No light of `layers` layers.
+    pub(crate) fn black(len: usize, layers: usize) -> Stack<V> {
+        Stack {
+            direct: vec![V::default(); len],
+            indirect: vec![V::default(); len],
+            variance: vec![0.0; len],
+            layer_variance: vec![0.0; if layers > 1 { len * layers } else { 0 }],
+        }
+    }
+
+    /// Of layers of `len` slots, whose weighted sum has `variance`; for a single one its own is taken.
+    pub(crate) fn of_layers(layers: &[Arc<Layer>], variance: &[f32], len: usize) -> Stack<V> {
+        let side_by_side = |part: fn(&Layer) -> &[Vec3]| -> Vec<V> {
+            let value = |slot: usize| {
+                let of = |(k, layer): (usize, &Arc<Layer>)| V::of_layer(k as u32, part(layer)[slot]);
+                layers.iter().enumerate().map(of).sum()
+            };
+            (0..len).into_par_iter().with_min_len(4096).map(value).collect()
+        };
+        let many = layers.len() > 1;
+        let per_layer = |slot: usize| layers.iter().map(move |layer| layer.variance[slot]);
+        Stack {
+            direct: side_by_side(|layer| &layer.direct),
+            indirect: side_by_side(|layer| &layer.indirect),
+            variance: if many { variance.to_vec() } else { layers.iter().flat_map(|l| l.variance.clone()).collect() },
+            layer_variance: if many { (0..len).flat_map(per_layer).collect() } else { Vec::new() },
+        }
+    }
+
+    /// The layers, with their headers.
+    pub(crate) fn to_layers(&self, headers: &[&Header]) -> Vec<Arc<Layer>> {
+        let layers = headers.len();
+        let of = |(k, header): (usize, &&Header)| {
+            let take = |values: &[V]| values.par_iter().with_min_len(4096).map(|v| v.layer(k)).collect();
+            let variance = match layers {
+                1 => self.variance.clone(),
+                _ => self.layer_variance.iter().skip(k).step_by(layers).copied().collect(),
+            };
+            let (name, lights) = (header.name.clone(), header.lights.clone());
+            Arc::new(Layer { name, lights, direct: take(&self.direct), indirect: take(&self.indirect), variance })
+        };
+        headers.iter().enumerate().map(of).collect()
+    }
+
+    /// In the slots of the world after a transition: old values where elements stay, zero where they go or come.
+    pub(crate) fn carried_over(&self, transition: &Transition) -> Stack<V> {
+        let layers = self.layers_of_variance();
+        Stack {
+            direct: transition.carry(&self.direct, 1),
+            indirect: transition.carry(&self.indirect, 1),
+            variance: transition.carry(&self.variance, 1),
+            layer_variance: transition.carry(&self.layer_variance, layers),
+        }
+    }
+
+    /// The mean of all rounds, with its variance.
+    pub(crate) fn mean_of(sum: &Accumulator<V>) -> Stack<V> {
+        Stack {
+            direct: sum.direct(),
+            indirect: sum.indirect(),
+            variance: sum.variance(),
+            layer_variance: sum.layer_variance(),
+        }
+    }
+
+    /// Adds another, independent one.
+    pub(crate) fn add(&mut self, other: &Stack<V>) {
+        self.direct.iter_mut().zip(&other.direct).for_each(|(a, b)| *a += *b);
+        self.indirect.iter_mut().zip(&other.indirect).for_each(|(a, b)| *a += *b);
+        self.variance.iter_mut().zip(&other.variance).for_each(|(a, b)| *a += *b);
+        self.layer_variance.iter_mut().zip(&other.layer_variance).for_each(|(a, b)| *a += *b);
+    }
+
+    /// Takes the part `weight` of another in some slots. Both hold the noise of `shared`, and beside it their own.
+    pub(crate) fn blend(
+        &mut self,
+        other: &Stack<V>,
+        slots: impl Iterator<Item = u32>,
+        weight: f32,
+        shared: Option<&Stack<V>>,
+    ) {
+        let layers = self.layers_of_variance();
+        let part =
+            |old: f32, a: f32, b: f32| old + weight * weight * (b - old) + (1.0 - weight) * (1.0 - weight) * (a - old);
+        let mix = |a: V, b: V| a + (b - a) * weight;
+        for slot in slots.map(|slot| slot as usize) {
+            self.direct[slot] = mix(self.direct[slot], other.direct[slot]);
+            self.indirect[slot] = mix(self.indirect[slot], other.indirect[slot]);
+            let old = shared.map_or(0.0, |s| s.variance[slot]);
+            self.variance[slot] = part(old, self.variance[slot], other.variance[slot]);
+            for k in slot * layers..(slot + 1) * layers {
+                let old = shared.map_or(0.0, |s| s.layer_variance[k]);
+                self.layer_variance[k] = part(old, self.layer_variance[k], other.layer_variance[k]);
+            }
+        }
+    }
+
+    /// Black in some slots.
+    pub(crate) fn clear(&mut self, slots: &[u32]) {
+        let layers = self.layers_of_variance();
+        for slot in slots.iter().map(|slot| *slot as usize) {
+            self.direct[slot] = V::default();
+            self.indirect[slot] = V::default();
+            self.variance[slot] = 0.0;
+            self.layer_variance[slot * layers..(slot + 1) * layers].fill(0.0);
+        }
+    }
+
+    fn layers_of_variance(&self) -> usize {
+        self.layer_variance.len().checked_div(self.direct.len()).unwrap_or(0)
+    }
+
+    /// direct + indirect.
+    pub(crate) fn total(&self) -> Vec<V> {
+        self.direct.iter().zip(&self.indirect).map(|(d, i)| *d + *i).collect()
+    }
+
+    /// Elements inside solids take their neighbours' values.
+    pub(crate) fn fill_invalid(&mut self, validity: &Validity) {
+        validity.fill(&mut self.direct);
+        validity.fill(&mut self.indirect);
+        validity.fill_scalars(&mut self.variance, 1);
+        let layers = self.layers_of_variance();
+        validity.fill_scalars(&mut self.layer_variance, layers);
+    }
+}

@@ -1,0 +1,320 @@
+//! Updates of maps with layers: lights that leave a shared layer are computed by themselves, layers that the edit
+//! changes are brought up to date together, along the same rays, and all are summed with their weights.
+
+use std::cell::RefCell;
+use std::sync::Arc;
+
+use glam::Vec3;
+
+use super::plan::{Header, Piece, Plan, Planned, wants_layers};
+use super::{Layer, Stack, correlation, weight_of, whole};
+use crate::job::{Canceled, Observer, Pass, Progress};
+use crate::lightmap::LightMap;
+use crate::random::subseed;
+use crate::transport::{Value, Work};
+use crate::update::{Goal, Stage, Updated, run_stage};
+use crate::world::{Transition, World};
+
+/// Calls a function generic over the number of layers for the least number that holds `$layers`.
+macro_rules! with_layers {
+    ($layers:expr, $function:ident($($argument:expr),* $(,)?)) => {
+        match $layers {
+            0 | 1 => $function::<glam::Vec3>($($argument),*),
+            2 => $function::<$crate::transport::Layered<2>>($($argument),*),
+            3 | 4 => $function::<$crate::transport::Layered<4>>($($argument),*),
+            5..=8 => $function::<$crate::transport::Layered<8>>($($argument),*),
+            _ => $function::<$crate::transport::Layered<16>>($($argument),*),
+        }
+    };
+}
+pub(crate) use with_layers;
+
+/// Brings a map with layers up to date, or gives a map layers; none where the edit has no need of any.
+pub(crate) fn update_layers(
+    transition: &Transition,
+    map: &LightMap,
+    goal: &Goal,
+    work: &Work,
+) -> Option<Result<Option<Updated>, Canceled>> {
+    let (before, after) = (&transition.before.scene, &transition.after.scene);
+    if !wants_layers(before, after, map) {
+        return None;
+    }
+    let plan = Plan::new(before, after, map);
+    let update = Update { transition, map, goal, work, plan };
+    Some(update.run())
+}
+
+struct Update<'a> {
+    transition: &'a Transition,
+    map: &'a LightMap,
+    goal: &'a Goal<'a>,
+    work: &'a Work<'a>,
+    plan: Plan,
+}
+
+impl Update<'_> {
+    fn run(&self) -> Result<Option<Updated>, Canceled> {
+        let (before, after) = (&self.transition.before.scene, &self.transition.after.scene);
+        let old_weights = self.map.layer_weights(before);
+        let correlation = correlation(self.map, &old_weights);
+        let changed = self.changed();
+        let weights: Vec<Vec3> =
+            self.plan.after.iter().map(|(h, _)| weight_of(&h.lights, after).unwrap_or(Vec3::ONE)).collect();
+        if !self.plan.leaving.is_empty() {
+            let finish = |leaving: Vec<Arc<Layer>>| {
+                let regrouped = self.regroup(&leaving);
+                whole(self.unchanged(&regrouped), &weights, correlation)
+            };
+            let Some((updated, leaving)) = self.compute_leaving(changed.is_empty(), &finish)? else { return Ok(None) };
+            if changed.is_empty() {
+                return Ok(Some(updated));
+            }
+            return self.compute_changed(&changed, &self.regroup(&leaving), &weights, correlation);
+        }
+        let regrouped = self.regroup(&[]);
+        if changed.is_empty() {
+            let map = Arc::new(whole(self.unchanged(&regrouped), &weights, correlation));
+            announce(&map, &self.transition.after, self.work.observer());
+            return Ok(Some(Updated { map, baked: false }));
+        }
+        self.compute_changed(&changed, &regrouped, &weights, correlation)
+    }
+
+    /// Positions in `plan.after` of the layers that rays are needed for.
+    fn changed(&self) -> Vec<usize> {
+        let transition = self.transition;
+        let everything =
+            transition.moves_geometry() || !transition.new_rows.is_empty() || transition.repaints_anything();
+        if everything { (0..self.plan.after.len()).collect() } else { self.plan.changed.clone() }
+    }
+
+    /// The old light, at reference strength, of the lights of `plan.leaving`.
+    fn compute_leaving(
+        &self,
+        publishes: bool,
+        finish: &dyn Fn(Vec<Arc<Layer>>) -> LightMap,
+    ) -> Result<Option<(Updated, Vec<Arc<Layer>>)>, Canceled> {
+        let world = &self.transition.before;
+        let headers: Vec<&Header> = self.plan.leaving.iter().collect();
+        let weights: Vec<Vec3> =
+            headers.iter().map(|h| weight_of(&h.lights, &world.scene).unwrap_or(Vec3::ONE)).collect();
+        let still = Transition {
+            before: world.only_layers(&[], &[]),
+            after: world.only_layers(&headers, &weights),
+            common: world.trees.clone(),
+            gone: None,
+            come: None,
+            new_rows: Vec::new(),
+            filled_rows: Vec::new(),
+        };
+        let quiet = Quiet(self.work.observer());
+        let quiet = Work::new(&quiet);
+        let work = if publishes { self.work } else { &quiet };
+        let goal = Goal { focus: None, seed: subseed(self.goal.seed, 0x1ea), ..*self.goal };
+        let around: Vec<Vec3> = (0..self.map.len()).map(|slot| self.map.total(slot)).collect();
+        let layers = Layers { headers, weights, around, adds: false };
+        with_layers!(layers.headers.len(), leaving(&still, &layers, &goal, work, finish))
+    }
+
+    /// The old light in its new layers.
+    fn regroup(&self, leaving: &[Arc<Layer>]) -> Vec<Arc<Layer>> {
+        self.plan.regrouped.iter().map(|planned| self.assemble(planned, leaving)).collect()
+    }
+
+    fn assemble(&self, planned: &Planned, leaving: &[Arc<Layer>]) -> Arc<Layer> {
+        if let ([(Piece::Old(index), Vec3::ONE)], Some(layer)) = (planned.pieces.as_slice(), self.map.layers.first()) {
+            let layer = self.map.layers.get(*index).unwrap_or(layer);
+            if layer.name == planned.header.name && layer.lights == planned.header.lights {
+                return layer.clone();
+            }
+        }
+        let len = self.map.len();
+        let mut sum = Layer {
+            name: planned.header.name.clone(),
+            lights: planned.header.lights.clone(),
+            direct: vec![Vec3::ZERO; len],
+            indirect: vec![Vec3::ZERO; len],
+            variance: vec![0.0; len],
+        };
+        let mut add = |direct: &[Vec3], indirect: &[Vec3], variance: &[f32], factor: Vec3| {
+            let square = factor.length_squared() / 3.0;
+            sum.direct.iter_mut().zip(direct).for_each(|(s, v)| *s += *v * factor);
+            sum.indirect.iter_mut().zip(indirect).for_each(|(s, v)| *s += *v * factor);
+            sum.variance.iter_mut().zip(variance).for_each(|(s, v)| *s += *v * square);
+        };
+        for &(piece, factor) in &planned.pieces {
+            let layer = match piece {
+                Piece::Old(index) => self.map.layers.get(index),
+                Piece::Leaving(index) => leaving.get(index),
+            };
+            match layer {
+                Some(layer) => add(&layer.direct, &layer.indirect, &layer.variance, factor),
+                // A map without layers is one of all lights.
+                None => add(&self.map.direct, &self.map.indirect, &self.map.variance, factor),
+            }
+        }
+        Arc::new(sum)
+    }
+
+    /// Layers of the new map that need no ray, with their new headers.
+    fn unchanged(&self, regrouped: &[Arc<Layer>]) -> Vec<Arc<Layer>> {
+        let layer = |(header, origin): &(Header, Option<usize>)| {
+            let layer = origin.map(|index| &regrouped[index])?;
+            Some(renamed(layer, header))
+        };
+        self.plan.after.iter().filter_map(layer).collect()
+    }
+
+    /// Brings layers up to date along the same rays.
+    fn compute_changed(
+        &self,
+        changed: &[usize],
+        regrouped: &[Arc<Layer>],
+        weights: &[Vec3],
+        correlation: f64,
+    ) -> Result<Option<Updated>, Canceled> {
+        let transition = self.transition;
+        let len = transition.before.slots();
+        let black = || {
+            Arc::new(Layer {
+                direct: vec![Vec3::ZERO; len],
+                indirect: vec![Vec3::ZERO; len],
+                variance: vec![0.0; len],
+                ..Layer::default()
+            })
+        };
+        let nothing = Header::default();
+        let (mut headers, mut old_headers, mut old) = (Vec::new(), Vec::new(), Vec::new());
+        for &k in changed {
+            let (header, origin) = &self.plan.after[k];
+            headers.push(header);
+            old_headers.push(origin.map_or(&nothing, |index| &self.plan.regrouped[index].header));
+            old.push(origin.map_or_else(black, |index| regrouped[index].clone()));
+        }
+        let all = changed.len() == self.plan.after.len();
+        let own: Vec<Vec3> = changed.iter().map(|&k| weights[k]).collect();
+        let stage = Transition {
+            before: transition.before.only_layers(&old_headers, &own),
+            after: transition.after.only_layers(&headers, &own),
+            ..transition.clone()
+        };
+        // In slots of the new world; without a change of geometry those are the old ones.
+        let kept: Vec<Option<Arc<Layer>>> = self
+            .plan
+            .after
+            .iter()
+            .enumerate()
+            .map(|(k, (header, origin))| {
+                origin.filter(|_| !changed.contains(&k)).map(|index| renamed(&regrouped[index], header))
+            })
+            .collect();
+        let finish = |computed: Vec<Arc<Layer>>, variance: Option<Vec<f32>>| {
+            let mut computed = computed.into_iter();
+            let layers: Vec<Arc<Layer>> = kept.iter().filter_map(|k| k.clone().or_else(|| computed.next())).collect();
+            let mut map = whole(layers, weights, correlation);
+            if let Some(variance) = variance.filter(|_| all) {
+                map.variance = variance;
+            }
+            map
+        };
+        let around = transition.carry_over(self.map);
+        let around: Vec<Vec3> = (0..around.len()).map(|slot| around.total(slot)).collect();
+        let layers = Layers { headers, weights: own, around, adds: true };
+        with_layers!(changed.len(), change(&stage, &old, &self.map.variance, &layers, self.goal, self.work, &finish))
+    }
+}
+
+/// The layers that a stage computes.
+struct Layers<'a> {
+    headers: Vec<&'a Header>,
+    weights: Vec<Vec3>,
+    /// All light of the old map, direct + indirect, in the slots of the stage's new world.
+    around: Vec<Vec3>,
+    /// The stage's change is not in `around`.
+    adds: bool,
+}
+
+/// `finish` takes the layers so far; answers the last map and the layers, none where no round was run.
+fn leaving<V: Value>(
+    still: &Transition,
+    layers: &Layers,
+    goal: &Goal,
+    work: &Work,
+    finish: &dyn Fn(Vec<Arc<Layer>>) -> LightMap,
+) -> Result<Option<(Updated, Vec<Arc<Layer>>)>, Canceled> {
+    let last = RefCell::new(Vec::new());
+    let keep = |stack: &Stack<V>| {
+        let computed = stack.to_layers(&layers.headers);
+        last.replace(computed.clone());
+        finish(computed)
+    };
+    let weights = own_weights(&layers.weights);
+    let stage = Stage {
+        transition: still,
+        old: Stack::<V>::black(still.before.slots(), layers.headers.len()),
+        weights: &weights,
+        around: Some((&layers.around, layers.adds)),
+        finish: &keep,
+    };
+    let updated = run_stage(stage, goal, work)?;
+    Ok(updated.map(|updated| (updated, last.take())))
+}
+
+/// `finish` takes the layers so far, and the variance of their weighted sum where there are several.
+fn change<V: Value>(
+    transition: &Transition,
+    old: &[Arc<Layer>],
+    variance: &[f32],
+    layers: &Layers,
+    goal: &Goal,
+    work: &Work,
+    finish: &dyn Fn(Vec<Arc<Layer>>, Option<Vec<f32>>) -> LightMap,
+) -> Result<Option<Updated>, Canceled> {
+    let several = layers.headers.len() > 1;
+    let keep = |stack: &Stack<V>| finish(stack.to_layers(&layers.headers), several.then(|| stack.variance.clone()));
+    let weights = own_weights(&layers.weights);
+    let old = Stack::<V>::of_layers(old, variance, transition.before.slots());
+    let stage =
+        Stage { transition, old, weights: &weights, around: Some((&layers.around, layers.adds)), finish: &keep };
+    run_stage(stage, goal, work)
+}
+
+/// A single layer is computed at its own scale: its variance is that of the layer.
+fn own_weights(weights: &[Vec3]) -> Vec<Vec3> {
+    if weights.len() > 1 { weights.to_vec() } else { vec![Vec3::ONE] }
+}
+
+fn renamed(layer: &Arc<Layer>, header: &Header) -> Arc<Layer> {
+    if layer.name == header.name && layer.lights == header.lights {
+        return layer.clone();
+    }
+    Arc::new(Layer { name: header.name.clone(), lights: header.lights.clone(), ..Layer::clone(layer) })
+}
+
+/// One snapshot of a map that no ray was needed for.
+fn announce(map: &Arc<LightMap>, world: &World, observer: &dyn Observer) {
+    let progress = Progress {
+        pass: Pass::Direct,
+        samples_per_element: 1,
+        round_samples: 0,
+        round_fraction: 1.0,
+        rays: 0,
+        estimated_rmse: Some(map.estimated_rmse(world.areas())),
+    };
+    observer.progress(&progress);
+    observer.snapshot(map, &progress);
+}
+
+/// Lets nothing out: a stage's map is not yet that of the edit.
+struct Quiet<'a>(&'a dyn Observer);
+
+impl Observer for Quiet<'_> {
+    fn canceled(&self) -> bool {
+        self.0.canceled()
+    }
+
+    fn plan_round(&self, so_far: &Progress, proposed: u32) -> u32 {
+        self.0.plan_round(so_far, proposed)
+    }
+}
