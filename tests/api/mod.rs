@@ -11,6 +11,7 @@ mod errors;
 mod events;
 mod fuzz;
 mod glb;
+mod idle;
 mod jobs;
 mod lightmap;
 mod openapi;
