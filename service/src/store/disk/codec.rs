@@ -1,40 +1,119 @@
-//! Light maps as bytes: a magic, the number of slots, then direct, indirect and variance, little-endian `f32`.
+//! Light maps as bytes, little-endian: a magic, the number of slots and of layers, the values of the whole, then layer
+//! after layer: its name, its lights with their reference strengths, its values. Values are direct, indirect and variance
+//! of all slots, as `f32`. Maps of the first format have no layers.
+
+use std::sync::Arc;
 
 use glam::Vec3;
+use rebake_core::layers::{Layer, LayerLight};
 
 use crate::engine::LightMap;
 
-const MAP_MAGIC: &[u8; 8] = b"RBKMAP01";
+const MAGIC: &[u8; 8] = b"RBKMAP02";
+/// Without layers, and without their number.
+const MAGIC_1: &[u8; 8] = b"RBKMAP01";
 const BYTES_PER_SLOT: usize = 28;
 
 /// The bytes of a map.
 pub(super) fn encode_map(map: &LightMap) -> Vec<u8> {
-    let mut bytes = Vec::with_capacity(MAP_MAGIC.len() + 8 + map.len() * BYTES_PER_SLOT);
-    bytes.extend_from_slice(MAP_MAGIC);
+    let mut bytes = Vec::with_capacity(MAGIC.len() + 12 + (map.layers.len() + 1) * (map.len() * BYTES_PER_SLOT + 256));
+    bytes.extend_from_slice(MAGIC);
     bytes.extend_from_slice(&(map.len() as u64).to_le_bytes());
-    for value in map.direct.iter().chain(&map.indirect) {
+    put_count(&mut bytes, map.layers.len());
+    put_values(&mut bytes, &map.direct, &map.indirect, &map.variance);
+    for layer in &map.layers {
+        put_name(&mut bytes, &layer.name);
+        put_count(&mut bytes, layer.lights.len());
+        for light in &layer.lights {
+            put_name(&mut bytes, &light.name);
+            put_vec3s(&mut bytes, &[light.reference]);
+        }
+        put_values(&mut bytes, &layer.direct, &layer.indirect, &layer.variance);
+    }
+    bytes
+}
+
+fn put_count(bytes: &mut Vec<u8>, count: usize) {
+    bytes.extend_from_slice(&(count as u32).to_le_bytes());
+}
+
+fn put_name(bytes: &mut Vec<u8>, name: &str) {
+    put_count(bytes, name.len());
+    bytes.extend_from_slice(name.as_bytes());
+}
+
+fn put_vec3s(bytes: &mut Vec<u8>, values: &[Vec3]) {
+    for value in values {
         value.to_array().iter().for_each(|x| bytes.extend_from_slice(&x.to_le_bytes()));
     }
-    map.variance.iter().for_each(|x| bytes.extend_from_slice(&x.to_le_bytes()));
-    bytes
+}
+
+fn put_values(bytes: &mut Vec<u8>, direct: &[Vec3], indirect: &[Vec3], variance: &[f32]) {
+    put_vec3s(bytes, direct);
+    put_vec3s(bytes, indirect);
+    variance.iter().for_each(|x| bytes.extend_from_slice(&x.to_le_bytes()));
 }
 
 /// The map of some bytes; none where they are not one.
 pub(super) fn decode_map(bytes: &[u8]) -> Option<LightMap> {
-    let rest = bytes.strip_prefix(MAP_MAGIC)?;
-    let (len, rest) = rest.split_first_chunk::<8>()?;
-    let len = usize::try_from(u64::from_le_bytes(*len)).ok()?;
-    if len.checked_mul(BYTES_PER_SLOT)? != rest.len() {
-        return None;
+    let (rest, has_layers) = match bytes.strip_prefix(MAGIC) {
+        Some(rest) => (rest, true),
+        None => (bytes.strip_prefix(MAGIC_1)?, false),
+    };
+    let mut reader = Reader { rest };
+    let len = usize::try_from(u64::from_le_bytes(*reader.chunk::<8>()?)).ok()?;
+    let count = if has_layers { reader.count()? } else { 0 };
+    let (direct, indirect, variance) = reader.values(len)?;
+    // A count that lies ends with the bytes.
+    let layers = (0..count).map(|_| reader.layer(len).map(Arc::new)).collect::<Option<_>>()?;
+    reader.rest.is_empty().then_some(LightMap { direct, indirect, variance, layers })
+}
+
+struct Reader<'a> {
+    rest: &'a [u8],
+}
+
+impl Reader<'_> {
+    fn chunk<const N: usize>(&mut self) -> Option<&[u8; N]> {
+        let (chunk, rest) = self.rest.split_first_chunk::<N>()?;
+        self.rest = rest;
+        Some(chunk)
     }
-    let (vectors, variance) = rest.split_at(len * 24);
-    let (direct, indirect) = vectors.split_at(len * 12);
-    Some(LightMap {
-        direct: vec3s(direct),
-        indirect: vec3s(indirect),
-        variance: floats(variance).collect(),
-        layers: Vec::new(),
-    })
+
+    fn bytes(&mut self, len: usize) -> Option<&[u8]> {
+        let (bytes, rest) = self.rest.split_at_checked(len)?;
+        self.rest = rest;
+        Some(bytes)
+    }
+
+    fn count(&mut self) -> Option<usize> {
+        Some(u32::from_le_bytes(*self.chunk::<4>()?) as usize)
+    }
+
+    fn name(&mut self) -> Option<String> {
+        let len = self.count()?;
+        std::str::from_utf8(self.bytes(len)?).ok().map(str::to_owned)
+    }
+
+    fn vec3(&mut self) -> Option<Vec3> {
+        self.chunk::<12>().map(vec3)
+    }
+
+    fn layer(&mut self, len: usize) -> Option<Layer> {
+        let name = self.name()?;
+        let lights = (0..self.count()?).map(|_| Some(LayerLight { name: self.name()?, reference: self.vec3()? }));
+        let lights = lights.collect::<Option<_>>()?;
+        let (direct, indirect, variance) = self.values(len)?;
+        Some(Layer { name, lights, direct, indirect, variance })
+    }
+
+    /// Direct, indirect and variance of `len` slots.
+    fn values(&mut self, len: usize) -> Option<(Vec<Vec3>, Vec<Vec3>, Vec<f32>)> {
+        let bytes = self.bytes(len.checked_mul(BYTES_PER_SLOT)?)?;
+        let (vectors, variance) = bytes.split_at(len * 24);
+        let (direct, indirect) = vectors.split_at(len * 12);
+        Some((vec3s(direct), vec3s(indirect), floats(variance).collect()))
+    }
 }
 
 /// The bytes of versions per slot. Neighbours mostly have the same: zstd makes next to nothing of them.
@@ -54,30 +133,69 @@ fn floats(bytes: &[u8]) -> impl Iterator<Item = f32> + '_ {
     bytes.as_chunks::<4>().0.iter().map(|x| f32::from_le_bytes(*x))
 }
 
+fn vec3(bytes: &[u8; 12]) -> Vec3 {
+    let mut xyz = floats(bytes);
+    Vec3::from_array(std::array::from_fn(|_| xyz.next().unwrap_or(0.0)))
+}
+
 fn vec3s(bytes: &[u8]) -> Vec<Vec3> {
-    let read = |at: &[u8; 12]| {
-        let mut xyz = floats(at);
-        Vec3::from_array(std::array::from_fn(|_| xyz.next().unwrap_or(0.0)))
-    };
-    bytes.as_chunks::<12>().0.iter().map(read).collect()
+    bytes.as_chunks::<12>().0.iter().map(vec3).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    #[test]
-    fn maps_and_versions_come_back_bit_for_bit() {
+    /// Three slots with what JSON or arithmetic would lose.
+    fn odd_map() -> LightMap {
         let mut map = LightMap::black(3);
         map.direct[1] = Vec3::new(1.0, -0.0, f32::MIN_POSITIVE);
         map.indirect[2] = Vec3::new(f32::INFINITY, 2.0, 3.0);
         map.variance[0] = 0.5;
-        let bytes = encode_map(&map);
-        let back = decode_map(&bytes).unwrap();
-        assert!(back == map && back.direct[1].y.is_sign_negative());
-        for cut in 0..bytes.len() {
-            assert!(decode_map(&bytes[..cut]).is_none());
+        map
+    }
+
+    #[test]
+    fn maps_come_back_bit_for_bit_with_their_layers() {
+        let mut map = odd_map();
+        let part = odd_map();
+        for (name, lights) in [("Lampe über dem Tisch", &["a", "b"][..]), ("", &[])] {
+            let light = |name: &&str| LayerLight { name: (*name).to_owned(), reference: Vec3::new(1.0, 0.0, 1e-30) };
+            map.layers.push(Arc::new(Layer {
+                name: name.to_owned(),
+                lights: lights.iter().map(light).collect(),
+                direct: part.indirect.clone(),
+                indirect: part.direct.clone(),
+                variance: vec![0.1, 0.2, 0.3],
+            }));
         }
+        for layers in [0, 1, 2] {
+            let mut map = map.clone();
+            map.layers.truncate(layers);
+            let bytes = encode_map(&map);
+            let back = decode_map(&bytes).unwrap();
+            assert!(back == map && back.direct[1].y.is_sign_negative());
+            assert!(back.layers.iter().all(|layer| layer.indirect[1].y.is_sign_negative()));
+            for cut in 0..bytes.len() {
+                assert!(decode_map(&bytes[..cut]).is_none(), "{layers} layers, {cut} bytes");
+            }
+            assert!(decode_map(&[&bytes[..], &[0]].concat()).is_none(), "more than a map");
+        }
+    }
+
+    #[test]
+    fn maps_of_the_first_format_are_read() {
+        let map = odd_map();
+        let mut bytes = encode_map(&map);
+        bytes[..8].copy_from_slice(MAGIC_1);
+        assert!(decode_map(&bytes).is_none(), "the first format has no number of layers");
+        bytes.drain(16..20);
+        assert!(decode_map(&bytes).unwrap() == map);
+        assert!(decode_map(&bytes[..bytes.len() - 1]).is_none());
+    }
+
+    #[test]
+    fn versions_come_back_and_only_as_many_as_there_are() {
         let versions = [0, 7, 7, u64::MAX];
         let bytes = encode_versions(&versions).unwrap();
         assert_eq!(decode_versions(&bytes, 4).unwrap(), versions);
