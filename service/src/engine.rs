@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use glam::{DMat4, DVec3, Vec3};
 use rebake_core::export::{EXR_WIDTH, write_exr};
+pub(crate) use rebake_core::layers::{Layer, MAX_LAYERS, SHARED_LAYER};
 use rebake_core::scene::{Light, LightKind, LoadLimits, load_glb};
 pub use rebake_core::scene::{LoadError, Scene};
 pub use rebake_core::surface::SurfaceError;
@@ -234,6 +235,56 @@ pub(crate) fn layout_hash(world: &World) -> String {
 /// The subdivided mesh with the values as vertex colours, as binary glTF.
 pub(crate) fn lightmap_glb(world: &World, values: &[Vec3]) -> Result<Vec<u8>, String> {
     rebake_core::export::lightmap_glb(world, values).map_err(|error| error.to_string())
+}
+
+/// A map from before an edit that only relights, with the layers of the map from after it, where these still add up to
+/// it: who dims a light and takes that back has no use for rays at the next touch of the slider.
+pub(crate) fn with_layers_of(known: Arc<LightMap>, later: &LightMap, scene: &Scene) -> Arc<LightMap> {
+    if known.layers.len() >= later.layers.len() || known.len() != later.len() {
+        return known;
+    }
+    match adds_up(&known, &later.layers, &later.layer_weights(scene)) {
+        true => Arc::new(LightMap { layers: later.layers.clone(), ..LightMap::clone(&known) }),
+        false => known,
+    }
+}
+
+/// Whether weight × layer add up to a map, up to rounding.
+fn adds_up(map: &LightMap, layers: &[Arc<Layer>], weights: &[Vec3]) -> bool {
+    /// Relative to what is added: some dozen roundings of `f32`.
+    const ROUNDING: f32 = 4e-6;
+    let fits = |slot: usize, whole: &[Vec3], part: fn(&Layer) -> &[Vec3]| {
+        let (mut sum, mut size) = (Vec3::ZERO, whole[slot].abs());
+        for (layer, weight) in layers.iter().zip(weights) {
+            let value = part(layer)[slot] * *weight;
+            sum += value;
+            size += value.abs();
+        }
+        (sum - whole[slot]).abs().cmple(size * ROUNDING).all()
+    };
+    (0..map.len()).all(|slot| {
+        fits(slot, &map.direct, |layer| &layer.direct) && fits(slot, &map.indirect, |layer| &layer.indirect)
+    })
+}
+
+/// Layers side by side as an OpenEXR picture, direct and indirect light apart, with what they are in its header.
+pub(crate) fn layers_exr(layers: &[Arc<Layer>], about: &[(&str, &str)]) -> Result<Vec<u8>, String> {
+    /// Names of channels have 255 bytes.
+    const LONGEST: usize = 200;
+    let names: Vec<[String; 2]> = layers
+        .iter()
+        .enumerate()
+        .map(|(index, layer)| {
+            let is_possible = (1..=LONGEST).contains(&layer.name.len()) && !layer.name.contains('\0');
+            let name = if is_possible { layer.name.clone() } else { format!("layer-{index}") };
+            [format!("{name}.direct"), format!("{name}.indirect")]
+        })
+        .collect();
+    let mut channels: Vec<(&str, &[Vec3])> = Vec::new();
+    for ([direct, indirect], layer) in names.iter().zip(layers) {
+        channels.extend([(direct.as_str(), layer.direct.as_slice()), (indirect.as_str(), layer.indirect.as_slice())]);
+    }
+    write_exr(&channels, EXR_WIDTH, about).map_err(|error| error.to_string())
 }
 
 /// The values as an OpenEXR picture, with what they are in its header.

@@ -7,6 +7,7 @@ use rebake_core::surface::{DEFAULT_ELEMENTS, default_spacing, object_area};
 
 use crate::engine::{Edit, Scene};
 use crate::state::App;
+use crate::store::layers::LAYER_BYTES;
 use crate::store::scenes::SceneEntry;
 
 /// Elements per square of one spacing: it is the diagonals that must not exceed the spacing, so there are two to three.
@@ -32,6 +33,11 @@ pub(crate) fn estimate_inserts(edits: &[Edit], spacing: f32) -> u64 {
         estimate_bytes(vertices(asset), area, spacing)
     };
     edits.iter().map(bytes).fold(0, u64::saturating_add)
+}
+
+/// Bytes that layers of the light map will take, from the estimate of the scene they belong to.
+pub(crate) fn estimate_layers(scene_bytes: u64, layers: usize) -> u64 {
+    (scene_bytes as f64 / BYTES_PER_ELEMENT * LAYER_BYTES as f64 * layers as f64) as u64
 }
 
 fn vertices(scene: &Scene) -> usize {
@@ -88,7 +94,7 @@ impl App {
         let of = |scene: &SceneEntry| {
             let published = scene.published();
             let world = (published.world.memory_bytes() as u64).max(scene.accepted_bytes());
-            world + (published.memory_bytes() + scene.earlier.memory_bytes()) as u64
+            world + (published.memory_bytes() + scene.earlier.memory_bytes(&published.map)) as u64
         };
         self.scenes.all().iter().map(|scene| of(scene)).sum()
     }

@@ -4,6 +4,7 @@
 //! What cannot be brought back is told, and the rest goes on: a scene whose upload or edits are damaged stays in the
 //! list with its error; one whose light is damaged is baked afresh.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -114,6 +115,7 @@ fn build(app: &App, glb: &[u8], record: &SceneRecord) -> Result<World, StoreErro
     if let Some(radiance) = record.environment {
         engine::add_environment(&mut scene, Vec3::from_array(radiance));
     }
+    scene.groups = record.groups.clone();
     engine::build(scene, Some(record.spacing), &app.config.limits).map_err(|error| unreadable(&error))
 }
 
@@ -179,7 +181,11 @@ fn read_edits(app: &App, body: &[u8]) -> Result<Vec<Edit>, String> {
 fn fits(replayed: &Replayed, light: LightRecord) -> Result<(World, LightRecord), StoreError> {
     let differs = || StoreError::damaged("it does not fit the scene", "the slots differ");
     let shown = replayed.shown.as_ref().ok_or_else(differs)?;
-    if light.map.len() != shown.slots() || light.about.layout != engine::layout_hash(shown) {
+    let about = &light.about;
+    if light.map.len() != shown.slots() || about.layout != engine::layout_hash(shown) {
+        return Err(differs());
+    }
+    if about.weights.len() != light.map.layers.len() {
         return Err(differs());
     }
     if light.lit.as_ref().is_some_and(|(_, lit)| replayed.lit_slots != Some(lit.len())) {
@@ -195,6 +201,7 @@ fn damaged(app: &App, saved: &SavedScene, error: &StoreError) -> SceneEntry {
         mode: Mode::Full,
         spacing: 1.0,
         environment: None,
+        groups: BTreeMap::new(),
         created_at: Timestamp::UNIX_EPOCH,
     });
     let mode = record.mode;

@@ -11,9 +11,9 @@ use super::server::{Answer, Server, path_of, patiently};
 
 /// A client that applies what it gets, snapshot by snapshot.
 #[derive(Default)]
-struct Follower {
-    map: Vec<Vec3>,
-    version: u64,
+pub(crate) struct Follower {
+    pub(crate) map: Vec<Vec3>,
+    pub(crate) version: u64,
     decoder: Decoder,
     part: Vec<Frame>,
     frames: usize,
@@ -21,7 +21,7 @@ struct Follower {
 
 impl Follower {
     /// Takes bytes in; answers whether a snapshot was completed.
-    fn take(&mut self, bytes: &[u8]) -> bool {
+    pub(crate) fn take(&mut self, bytes: &[u8]) -> bool {
         self.decoder.push(bytes);
         let mut completed = false;
         while let Some((frame, _)) = self.decoder.next_frame().unwrap() {
@@ -41,7 +41,7 @@ impl Follower {
     }
 
     /// Reads a stream until the map is at `version`.
-    async fn reach(&mut self, response: &mut Response, version: u64) {
+    pub(crate) async fn reach(&mut self, response: &mut Response, version: u64) {
         while self.version < version {
             let bytes = patiently(response.chunk()).await.unwrap().expect("the stream ended");
             self.take(&bytes);
@@ -54,7 +54,7 @@ impl Follower {
         self.part.clear();
     }
 
-    fn bits(&self) -> Vec<[u32; 3]> {
+    pub(crate) fn bits(&self) -> Vec<[u32; 3]> {
         bits(&self.map)
     }
 }
@@ -75,7 +75,7 @@ async fn raw(server: &Server, scene: &Value) -> (u64, Vec<[u32; 3]>) {
     (frame.new, bits(&map))
 }
 
-async fn open(server: &Server, scene: &Value, query: &str) -> Response {
+pub(crate) async fn open(server: &Server, scene: &Value, query: &str) -> Response {
     let path = format!("{}/lightmap/deltas?{query}", path_of(scene));
     let response = server.request(Method::GET, &path).send().await.unwrap();
     assert_eq!(response.status(), 200);

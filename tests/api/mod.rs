@@ -13,6 +13,7 @@ mod fuzz;
 mod glb;
 mod idle;
 mod jobs;
+mod layers;
 mod lightmap;
 mod openapi;
 mod render;

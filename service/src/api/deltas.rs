@@ -18,6 +18,7 @@ use utoipa::{IntoParams, ToSchema};
 use super::coding::Coder;
 use super::elements::VERSION;
 use super::extract::{ApiPath, ApiQuery, Coding};
+use super::layers;
 use super::problem::{ApiResult, Kind, Problem};
 use super::{Shared, etag, find_scene};
 use crate::state::{App, Phase};
@@ -45,6 +46,10 @@ pub(super) struct DeltaQuery {
     since: u64,
     /// Keep the connection open and send every new version.
     follow: Option<bool>,
+    /// The name of a layer: its values at reference strengths, in the scene's mode, instead of the light map's. The stream
+    /// ends where the map loses the layer.
+    #[param(example = "ceiling")]
+    layer: Option<String>,
     /// How values travel; `full` where absent.
     #[param(inline)]
     precision: Option<Precision>,
@@ -66,7 +71,10 @@ pub(super) async fn get(
 ) -> ApiResult<Response> {
     let scene = find_scene(&app, &id)?;
     let follow = query.follow.unwrap_or(false);
-    let version = scene.published().version;
+    let published = scene.published();
+    let version = published.version;
+    let layer = query.layer.as_deref().map(|text| layers::find(&published, text)).transpose()?;
+    drop(published);
     if query.since > version {
         let text = format!("since: the light map is at version {version}, not {}", query.since);
         return Err(Problem::new(Kind::VersionAhead, text));
@@ -74,8 +82,7 @@ pub(super) async fn get(
     let busy = |_| Problem::new(Kind::TooManyStreams, "too many streams are open").retry_after(5);
     let permit = app.streams.clone().try_acquire_owned().map_err(busy)?;
     let coding = Coding::accepted(&headers);
-    let half = query.precision == Some(Precision::Half);
-    let sender = Sender::new(&app, &scene, &query, follow, coding, half, permit).map_err(Problem::internal)?;
+    let sender = Sender::new(&app, &scene, &query, layer, coding, permit).map_err(Problem::internal)?;
     let frames = stream::unfold(sender, |mut sender| async move { Some((sender.next().await?, sender)) });
     let mut response = Body::from_stream(frames).into_response();
     let head = response.headers_mut();
@@ -102,6 +109,8 @@ struct Sender {
     coder: Option<Coder>,
     /// The client's, once it has everything sent; none before the first frame of a client that has nothing.
     version: Option<u64>,
+    /// Of which layer; none for the map itself.
+    layer: Option<Arc<str>>,
     follow: bool,
     half: bool,
     waiting: VecDeque<Bytes>,
@@ -113,9 +122,8 @@ impl Sender {
         app: &Arc<App>,
         scene: &SceneEntry,
         query: &DeltaQuery,
-        follow: bool,
+        layer: Option<String>,
         coding: Coding,
-        half: bool,
         permit: OwnedSemaphorePermit,
     ) -> io::Result<Sender> {
         Ok(Sender {
@@ -125,8 +133,9 @@ impl Sender {
             phase: app.phase.subscribe(),
             coder: Some(Coder::new(coding)?),
             version: (query.since > 0).then_some(query.since),
-            follow,
-            half,
+            layer: layer.map(Arc::from),
+            follow: query.follow.unwrap_or(false),
+            half: query.precision == Some(Precision::Half),
             waiting: VecDeque::new(),
             _permit: permit,
         })
@@ -142,7 +151,9 @@ impl Sender {
             let is_gone = *self.deleted.borrow() || self.published.has_changed().is_err();
             let ends = !self.follow || is_gone || *self.phase.borrow() == Phase::Closing;
             let published = self.published.borrow_and_update().clone();
-            if self.version.is_none_or(|version| version < published.version) {
+            let is_there = self.layer.as_ref().is_none_or(|name| published.layer(name).is_some());
+            let ends = ends || !is_there;
+            if is_there && self.version.is_none_or(|version| version < published.version) {
                 if let Err(error) = self.encode(coder, published).await {
                     return Some(Err(error));
                 }
@@ -168,10 +179,14 @@ impl Sender {
     async fn encode(&mut self, mut coder: Coder, published: Arc<Published>) -> io::Result<()> {
         const VALUE_BYTES: usize = 12;
         let since = self.version.unwrap_or(0);
-        let (version, half) = (published.version, self.half);
+        let (version, half, layer) = (published.version, self.half, self.layer.clone());
         let max_values = (self.app.config.limits.frame_bytes / VALUE_BYTES).max(1);
         let encode = move || {
-            let mut frame = published.delta(since);
+            let frame = match &layer {
+                None => Some(published.delta(since)),
+                Some(name) => published.layer_delta(name, since),
+            };
+            let mut frame = frame.ok_or_else(|| io::Error::other("the layer is gone"))?;
             drop(published);
             if half {
                 frame = frame.halved();

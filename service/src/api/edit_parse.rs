@@ -1,10 +1,10 @@
 //! From the JSON of an edit request to edits of the engine. Errors name the field.
 
 use glam::DVec3;
-use rebake_core::scene::LightKind;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
+use super::edit_lights::{check_group, check_strength, light_kind, unit};
 use super::edit_types::{self as dto, Budget, CameraRef, EditOp, Focus, NewLight};
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::{JobPriority, dmat4, dvec3, vec3};
@@ -83,8 +83,10 @@ fn parse_op(mut fields: Map<String, Value>, path: &str) -> ApiResult<EditOp> {
         "insert_light" => parse_insert_light(fields, path),
         "remove_light" => read_fields(fields, path).map(EditOp::RemoveLight),
         "move_light" => read_fields(fields, path).map(EditOp::MoveLight),
+        "group_lights" => read_fields(fields, path).map(EditOp::GroupLights),
         _ => {
-            let known = "insert, remove, move, material, relight, insert_light, remove_light or move_light";
+            let known =
+                "insert, remove, move, material, relight, insert_light, remove_light, move_light or group_lights";
             Err(Problem::field(Kind::InvalidValue, join(path, "op"), format!("{op:?} is none of {known}")))
         }
     }
@@ -146,7 +148,7 @@ fn read<T: DeserializeOwned>(value: Value, path: &str) -> ApiResult<T> {
     })
 }
 
-fn join(path: &str, field: &str) -> String {
+pub(super) fn join(path: &str, field: &str) -> String {
     if path.is_empty() { field.to_owned() } else { format!("{path}.{field}") }
 }
 
@@ -227,70 +229,16 @@ fn to_edit(op: &EditOp, path: &str, assets: &Assets, max_name: usize) -> ApiResu
             let direction = place.direction.map(|d| unit(d, &join(path, "direction"))).transpose()?;
             Edit::MoveLight { light: place.light.clone(), position: place.position.map(dvec3), direction }
         }
-    })
-}
-
-fn light_kind(light: &NewLight, path: &str) -> ApiResult<(LightKind, [f32; 3], f32)> {
-    let place = |position: &[f64; 3]| match position.iter().all(|x| x.is_finite()) {
-        true => Ok(dvec3(*position)),
-        false => Err(Problem::field(Kind::InvalidValue, join(path, "position"), "has to be finite")),
-    };
-    let range = |range: Option<f32>| match range {
-        Some(r) if !(r.is_finite() && r > 0.0) => {
-            Err(Problem::field(Kind::InvalidValue, join(path, "range"), "has to be above 0"))
-        }
-        range => Ok(range),
-    };
-    Ok(match light {
-        NewLight::Point(p) => {
-            (LightKind::Point { position: place(&p.position)?, range: range(p.range)? }, p.color, p.intensity)
-        }
-        NewLight::Spot(s) => {
-            let inner_cone_angle = s.inner_cone_angle.unwrap_or(0.0);
-            let outer_cone_angle = s.outer_cone_angle.unwrap_or(std::f32::consts::FRAC_PI_4);
-            let is_cone = 0.0 <= inner_cone_angle
-                && inner_cone_angle < outer_cone_angle
-                && outer_cone_angle <= std::f32::consts::FRAC_PI_2;
-            if !is_cone {
-                let reason = "the angles have to be 0 ≤ inner < outer ≤ π/2";
-                return Err(Problem::field(Kind::InvalidValue, join(path, "outer_cone_angle"), reason));
+        EditOp::GroupLights(group) => {
+            if let Some(name) = &group.name {
+                check_group(name, &join(path, "name"), max_name)?;
             }
-            let kind = LightKind::Spot {
-                position: place(&s.position)?,
-                direction: unit(s.direction, &join(path, "direction"))?,
-                inner_cone_angle,
-                outer_cone_angle,
-                range: range(s.range)?,
-            };
-            (kind, s.color, s.intensity)
+            if group.lights.is_empty() {
+                return Err(Problem::field(Kind::InvalidValue, join(path, "lights"), "names no light"));
+            }
+            Edit::GroupLights { group: group.name.clone(), lights: group.lights.clone() }
         }
-        NewLight::Directional(d) => {
-            let direction = unit(d.direction, &join(path, "direction"))?;
-            (LightKind::Directional { direction }, d.color, d.intensity)
-        }
-        NewLight::Environment(e) => (LightKind::Environment, e.color, e.intensity),
     })
-}
-
-fn unit(direction: [f32; 3], field: &str) -> ApiResult<glam::Vec3> {
-    let direction = DVec3::from_array(direction.map(f64::from));
-    let unit = direction.try_normalize().filter(|unit| unit.is_finite());
-    let unit = unit.ok_or_else(|| Problem::field(Kind::InvalidValue, field, "has to be finite and not zero"))?;
-    Ok(unit.as_vec3())
-}
-
-fn check_strength(color: Option<&[f32; 3]>, intensity: Option<f32>, path: &str) -> ApiResult<()> {
-    let ok = |x: &f32| x.is_finite() && *x >= 0.0;
-    if color.is_some_and(|color| !color.iter().all(ok)) {
-        return Err(Problem::field(Kind::InvalidValue, join(path, "color"), "each has to be finite and at least 0"));
-    }
-    if intensity.is_some_and(|intensity| !ok(&intensity)) {
-        return Err(Problem::field(Kind::InvalidValue, join(path, "intensity"), "has to be finite and at least 0"));
-    }
-    if color.is_none() && intensity.is_none() {
-        return Err(Problem::field(Kind::InvalidValue, join(path, "intensity"), "neither it nor `color` is given"));
-    }
-    Ok(())
 }
 
 /// A name for something new.

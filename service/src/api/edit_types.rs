@@ -68,6 +68,8 @@ pub enum EditOp {
     RemoveLight(RemoveLight),
     /// Moves or turns a light.
     MoveLight(MoveLight),
+    /// Lets lights share a layer of the light map.
+    GroupLights(GroupLights),
 }
 
 /// Puts an asset into the scene as one object.
@@ -252,6 +254,21 @@ pub struct MoveLight {
     /// New direction in which it shines.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub direction: Option<[f32; 3]>,
+}
+
+/// Lets lights share a layer of the light map: relighting all of them alike needs no rays, and costs the memory of one
+/// layer. A scene has at most 15 such groups.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct GroupLights {
+    /// Name of the layer, and of the group. Absent: the lights belong to no group any more, and stay in the layer that
+    /// they are in.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(example = "ceiling")]
+    pub name: Option<String>,
+    /// Names of lights.
+    #[schema(example = json!(["lamp-1", "lamp-2"]))]
+    pub lights: Vec<String>,
 }
 
 /// When a job stops: the first bound that is reached ends it. With a bound on time or error alone, samples go on

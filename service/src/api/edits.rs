@@ -11,6 +11,7 @@ use bytes::Bytes;
 use super::edit_parse::{Parsed, parse, to_budget, to_edits, to_focus};
 use super::edit_types::EditRequest;
 use super::extract::{ApiPath, ETags, read_body, require_content_type, text_header};
+use super::layers::check_edits;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::{Job, to_event_data};
 use super::uploads::{full_problem, memory_problem, next_seed};
@@ -44,6 +45,7 @@ static IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
         ("material" = (value = json!({"op": "material", "object": "sofa", "albedo": [0.6, 0.1, 0.1]}))),
         ("relight" = (value = json!({"op": "relight", "lights": [{"light": "lamp", "color": [1, 0.9, 0.8], "intensity": 2.5}]}))),
         ("insert_light" = (value = json!({"op": "insert_light", "name": "lamp-2", "light": {"kind": "point", "position": [0, 2, 0], "color": [1, 1, 1], "intensity": 40}}))),
+        ("group_lights" = (value = json!({"op": "group_lights", "name": "ceiling", "lights": ["lamp-1", "lamp-2"]}))),
         ("several" = (value = json!({"edits": [{"op": "remove", "objects": ["sofa"]}, {"op": "move_light", "light": "lamp", "position": [1, 2, 0]}], "budget": {"max_seconds": 2.5}})))
     )),
     responses((status = 202, body = Job, description = "Accepted; the job lights it",
@@ -134,7 +136,9 @@ fn accept(
         true => None,
         false => Some(head.world.apply(&edits).map_err(|error| edit_problem(error, parsed.is_list))?),
     };
-    if transition.is_some() {
+    let mut _layers = None;
+    if let Some(transition) = &transition {
+        _layers = Some(check_edits(app, scene, &transition.after.scene, &edits, parsed.is_list)?);
         app.pictures.remember(scene.number, scene.published());
     }
     let mut jobs = head.jobs;

@@ -10,11 +10,12 @@ use utoipa::{IntoParams, ToSchema};
 use super::coding::encode_body;
 use super::elements::VERSION;
 use super::extract::{ApiPath, ApiQuery, Coding, ETags};
-use super::problem::{ApiResult, Problem};
-use super::types::LayerName;
+use super::layers::{self, Chosen, choose};
+use super::problem::{ApiResult, Kind, Problem};
+use super::types::PartName;
 use super::{Shared, etag, find_scene};
 use crate::engine;
-use crate::store::versions::{Layer, Published};
+use crate::store::versions::{Part, Published};
 
 /// File formats of a light map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -56,9 +57,14 @@ pub(super) struct LightmapQuery {
     /// File format; by `Accept`, else `raw`, where absent.
     #[param(inline)]
     format: Option<Format>,
-    /// Which part of the light; the scene's mode where absent.
+    /// `full`, `direct` or `indirect`: that part of all light; the scene's mode where absent. The name of a layer
+    /// (between double quotes where it is one of these words): its light at reference strengths. `all`: every layer, its
+    /// direct and indirect light apart, in a picture with channels `<layer>.direct.R` and so on.
+    #[param(example = "ceiling")]
+    layer: Option<String>,
+    /// Which part of a layer; the scene's mode where absent.
     #[param(inline)]
-    layer: Option<LayerName>,
+    part: Option<PartName>,
 }
 
 /// The whole light map.
@@ -90,27 +96,65 @@ pub(super) async fn get(
         (VERSION.clone(), version.clone()),
         (header::VARY, "accept, accept-encoding".to_owned()),
     ];
+    let format = query.format.unwrap_or_else(|| Format::accepted(&headers));
+    let wanted = wanted(&published, &query, format, scene.mode.part())?;
     if known.is_some_and(|tags| tags.matches_weakly(&version)) {
         return Ok((StatusCode::NOT_MODIFIED, about).into_response());
     }
-    let format = query.format.unwrap_or_else(|| Format::accepted(&headers));
-    let layer = query.layer.map_or(scene.mode.layer(), Layer::from);
     let coding = Coding::accepted(&headers);
     let encode = move || {
-        let file = file(&published, format, layer)?;
+        let file = file(&published, format, &wanted)?;
         encode_body(coding, file).map_err(|error| error.to_string())
     };
     let body = app.compute.run(encode).await?.map_err(Problem::internal)?;
     Ok((about, [(header::CONTENT_TYPE, format.content_type())], coding.headers(), body).into_response())
 }
 
-fn file(published: &Published, format: Format, layer: Layer) -> Result<Vec<u8>, String> {
-    let values = published.layer(layer);
-    match format {
-        Format::Exr => {
-            let about = [("lightMapVersion", &*published.version.to_string()), ("lightMapLayer", layer.as_str())];
-            engine::lightmap_exr(&values, &about)
+/// What to fetch, and which part of it.
+type Wanted = (Chosen, Part);
+
+fn wanted(published: &Published, query: &LightmapQuery, format: Format, mode: Part) -> ApiResult<Wanted> {
+    let invalid = |field: &str, reason: &str| Err(Problem::field(Kind::InvalidQuery, field, reason));
+    let chosen = query.layer.as_deref().map_or(Ok(Chosen::Part(mode)), |text| choose(published, text))?;
+    let part = query.part.map_or(mode, Part::from);
+    match &chosen {
+        Chosen::Part(_) | Chosen::All if query.part.is_some() => {
+            invalid("part", "has to come with the name of a layer")
         }
+        Chosen::All if format != Format::Exr => invalid("layer", "`all` has to come with `format=exr`"),
+        Chosen::All if published.layers.is_empty() => {
+            invalid("layer", "the light map has no layers before a light is relit or lights are grouped")
+        }
+        _ => Ok((chosen, part)),
+    }
+}
+
+fn file(published: &Published, format: Format, (chosen, part): &Wanted) -> Result<Vec<u8>, String> {
+    let version = published.version.to_string();
+    let mut about = vec![("lightMapVersion", version.as_str())];
+    let (values, weight);
+    match chosen {
+        Chosen::All => {
+            let layers = layers::to_json(published);
+            return engine::layers_exr(&published.map.layers, &[about[0], ("lightMapLayers", &layers)]);
+        }
+        Chosen::Part(part) => {
+            values = published.part(*part);
+            about.push(("lightMapLayer", part.as_str()));
+        }
+        Chosen::Layer(name) => {
+            let layer = published.layer(name).ok_or("the layer is gone")?;
+            values = layer.values(*part);
+            weight = layer.weight.to_array().map(|w| w.to_string()).join(" ");
+            about.extend([
+                ("lightMapLayer", name.as_str()),
+                ("lightMapPart", part.as_str()),
+                ("lightMapWeight", &weight),
+            ]);
+        }
+    }
+    match format {
+        Format::Exr => engine::lightmap_exr(&values, &about),
         Format::Glb => engine::lightmap_glb(&published.world, &values),
         Format::Raw => Ok(Frame::whole(&values, published.version).encode()),
     }

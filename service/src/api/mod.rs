@@ -3,6 +3,7 @@
 mod assets;
 mod coding;
 mod deltas;
+mod edit_lights;
 pub(crate) mod edit_parse;
 pub mod edit_types;
 mod edits;
@@ -13,6 +14,7 @@ mod guard;
 mod health;
 mod job_types;
 mod jobs;
+mod layers;
 mod lightmap;
 mod openapi;
 mod paging;

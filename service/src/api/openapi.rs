@@ -72,6 +72,7 @@ fn problems_of(operation: &str) -> &'static [Kind] {
             MalformedFile,
             Timeout,
             NameTaken,
+            UnknownLight,
             TooManyScenes,
             NoMemory,
             PayloadTooLarge,

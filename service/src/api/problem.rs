@@ -151,7 +151,7 @@ kinds! {
     UnsupportedFile "unsupported-file" UNPROCESSABLE_ENTITY "Unsupported file" "The file is a glTF but holds something that cannot be baked.";
     InvalidValue "invalid-value" UNPROCESSABLE_ENTITY "Invalid value" "A field has a value that is not allowed, or is missing or unknown.";
     UnknownObject "unknown-object" UNPROCESSABLE_ENTITY "Unknown object" "The body names an object that the scene does not have.";
-    UnknownLight "unknown-light" UNPROCESSABLE_ENTITY "Unknown light" "The body names a light that the scene does not have.";
+    UnknownLight "unknown-light" UNPROCESSABLE_ENTITY "Unknown light" "The request names a light that the scene does not have.";
     UnknownAsset "unknown-asset" UNPROCESSABLE_ENTITY "Unknown asset" "The body names an asset that was not uploaded.";
     UnknownCamera "unknown-camera" UNPROCESSABLE_ENTITY "Unknown camera" "The body names a camera that the scene does not have.";
     EditTooLarge "edit-too-large" UNPROCESSABLE_ENTITY "Edit too large" "The edit would make the scene larger than the service takes.";

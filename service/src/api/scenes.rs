@@ -11,10 +11,12 @@ use utoipa::IntoParams;
 
 use super::edit_parse::eye_target_up;
 use super::extract::{ApiPath, ApiQuery};
+use super::layers;
 use super::paging::Page;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::{self, finite};
 use super::{Shared, etag, find_any_scene};
+use crate::engine::LightMap;
 use crate::state::App;
 use crate::store::scenes::SceneEntry;
 use crate::store::versions::Published;
@@ -132,11 +134,13 @@ fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::
         elements: world.slots() as u64,
         live_elements: world.element_count() as u64,
         triangles: world.triangle_count() as u64,
-        memory_bytes: (world.memory_bytes() + published.memory_bytes() + scene.earlier.memory_bytes()) as u64,
+        memory_bytes: (world.memory_bytes() + published.memory_bytes() + scene.earlier.memory_bytes(&published.map))
+            as u64,
         estimated_rmse: published.estimated_rmse.and_then(finite),
         unlit_edits: scene.unlit() as u64,
         objects: published.objects().iter().map(types::Object::new).collect(),
-        lights: world.lights().map(|info| light(&info)).collect(),
+        lights: world.lights().map(|info| light(&info, &published.map)).collect(),
+        layers: published.layers.iter().map(layers::describe).collect(),
         cameras: world.scene.cameras.iter().zip(0..).map(camera).collect(),
         warnings: world.scene.warnings.clone(),
         degenerate_triangles: world.scene.degenerate_triangles as u64,
@@ -146,7 +150,7 @@ fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::
     }
 }
 
-fn light(info: &rebake_core::LightInfo<'_>) -> types::Light {
+fn light(info: &rebake_core::LightInfo<'_>, map: &LightMap) -> types::Light {
     use rebake_core::scene::LightKind;
     let light = info.light;
     let (object, position, direction) = match &light.kind {
@@ -161,7 +165,7 @@ fn light(info: &rebake_core::LightInfo<'_>) -> types::Light {
         kind: info.kind.to_owned(),
         color: light.color.to_array(),
         intensity: light.intensity,
-        layer: None,
+        layer: map.layer_of(&light.name).map(|layer| layer.name.clone()),
         object,
         position: position.map(|p| p.to_array()),
         direction: direction.map(|d| d.to_array()),

@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 
 pub use super::job_types::{Job, JobKind, JobPriority, JobProgress, JobState};
 use crate::engine;
-use crate::store::versions::{Layer, Mode};
+use crate::store::versions::{Mode, Part};
 
 /// What a scene's light map holds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -40,10 +40,10 @@ impl From<Mode> for SceneMode {
     }
 }
 
-/// One part of a light map.
+/// One part of the light of a layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum LayerName {
+pub enum PartName {
     /// Direct + indirect light.
     Full,
     /// Light straight from lights.
@@ -52,12 +52,12 @@ pub enum LayerName {
     Indirect,
 }
 
-impl From<LayerName> for Layer {
-    fn from(layer: LayerName) -> Layer {
-        match layer {
-            LayerName::Full => Layer::Full,
-            LayerName::Direct => Layer::Direct,
-            LayerName::Indirect => Layer::Indirect,
+impl From<PartName> for Part {
+    fn from(part: PartName) -> Part {
+        match part {
+            PartName::Full => Part::Full,
+            PartName::Direct => Part::Direct,
+            PartName::Indirect => Part::Indirect,
         }
     }
 }
@@ -103,6 +103,8 @@ pub struct Scene {
     pub objects: Vec<Object>,
     /// The lights, in order.
     pub lights: Vec<Light>,
+    /// The layers of the light map: it is the sum of weight × layer. None before a light is relit or lights are grouped.
+    pub layers: Vec<SceneLayer>,
     /// The file's cameras, in order.
     pub cameras: Vec<Camera>,
     /// What the file asked for and did not get.
@@ -218,7 +220,8 @@ pub struct Light {
     /// Radiance (emissive, environment), candela (point, spot) or lux (directional).
     #[schema(example = 40.0)]
     pub intensity: f32,
-    /// The layer of the light map that holds its light alone; absent while layers are not kept per light.
+    /// The layer of the light map that holds its light; null while the map has no layers, or none of this light yet.
+    #[schema(example = "lamp")]
     pub layer: Option<String>,
     /// The object that emits.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -229,6 +232,33 @@ pub struct Light {
     /// Where it shines.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub direction: Option<[f32; 3]>,
+}
+
+/// A layer: the light of some lights at reference strengths.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct SceneLayer {
+    /// Its name: that of its group or its light, or `shared`.
+    #[schema(example = "ceiling")]
+    pub name: String,
+    /// What it counts in the light map at this version, per channel. A client that relights by itself takes the new
+    /// strength over the reference instead.
+    #[schema(example = json!([2.5, 2.25, 2]))]
+    pub weight: [f32; 3],
+    /// Its lights.
+    pub lights: Vec<SceneLayerLight>,
+    /// Memory that it takes: 36 bytes per element.
+    #[schema(example = 757_224)]
+    pub memory_bytes: u64,
+}
+
+/// A light of a layer.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct SceneLayerLight {
+    /// Name of the light.
+    #[schema(example = "lamp")]
+    pub name: String,
+    /// Strength (`color` × `intensity`) at which the layer holds its light.
+    pub reference: [f32; 3],
 }
 
 /// A camera of the file, as `eye`, `target`, `up` and `fov_y` of a focus or a picture.

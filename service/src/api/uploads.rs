@@ -17,6 +17,7 @@ use utoipa::IntoParams;
 use super::edit_parse::{check_name, to_budget};
 use super::edit_types::Budget;
 use super::extract::{ApiQuery, read_body, require_content_type};
+use super::layers::{self, Wanted};
 use super::problem::{ApiResult, Kind, Problem};
 use super::scenes::scene_json;
 use super::types::{self, JobPriority, SceneMode};
@@ -50,6 +51,11 @@ pub(super) struct CreateQuery {
     /// Constant radiance from outside, `r,g,b`: adds a light named `environment`.
     #[param(example = "1,1,1")]
     environment: Option<String>,
+    /// Which lights have layers of their own in the light map, so that relighting them needs no rays: `shared` (none, the
+    /// default; lights that are relit get one then), `each` (every light; at most 15), or a JSON object of layers with
+    /// their lights (at most 15; the other lights share one more).
+    #[param(example = "{\"ceiling\": [\"lamp-1\", \"lamp-2\"]}")]
+    layers: Option<String>,
     /// Start a bake at once; `true` where absent.
     bake: Option<bool>,
     /// Budget of the bake: samples per element.
@@ -104,12 +110,13 @@ fn create_scene(
     options: Options,
     glb: &Bytes,
 ) -> ApiResult<(Arc<SceneEntry>, Option<String>)> {
-    let world = build_world(app, glb, options.spacing, options.environment)?;
+    let world = build_world(app, glb, &options)?;
     let record = SceneRecord {
         name: options.name,
         mode: options.mode.into(),
         spacing: world.spacing(),
         environment: options.environment.map(|radiance| radiance.to_array()),
+        groups: world.scene.groups.clone(),
         created_at: Timestamp::now(),
     };
     let new = NewScene {
@@ -151,6 +158,7 @@ struct Options {
     spacing: Option<f32>,
     mode: SceneMode,
     environment: Option<Vec3>,
+    layers: Wanted,
     bake: Option<crate::jobs::observer::JobBudget>,
     priority: JobPriority,
 }
@@ -173,6 +181,9 @@ impl Options {
             spacing: query.spacing,
             mode: query.mode.unwrap_or_default(),
             environment: query.environment.as_deref().map(parse_environment).transpose()?,
+            layers: query
+                .layers
+                .map_or(Ok(Wanted::Shared), |text| Wanted::parse(&text, app.config.limits.name_chars))?,
             bake: query.bake.unwrap_or(true).then_some(budget),
             priority: query.priority.unwrap_or_default(),
         })
@@ -193,17 +204,21 @@ fn parse_environment(text: &str) -> ApiResult<Vec3> {
     }
 }
 
-fn build_world(app: &App, glb: &Bytes, spacing: Option<f32>, environment: Option<Vec3>) -> ApiResult<World> {
-    let mut scene = engine::load(glb, &app.config.limits).map_err(load_problem)?;
-    if let Some(radiance) = environment
+fn build_world(app: &App, glb: &Bytes, options: &Options) -> ApiResult<World> {
+    let (spacing, limits) = (options.spacing, &app.config.limits);
+    let mut scene = engine::load(glb, limits).map_err(load_problem)?;
+    if let Some(radiance) = options.environment
         && !engine::add_environment(&mut scene, radiance)
     {
         let reason = "the file has a light named \"environment\" already";
         return Err(Problem::field(Kind::NameTaken, "environment", reason));
     }
-    let _promise =
-        app.promise_memory(memory::estimate(&scene, spacing), 0).map_err(|full| memory_problem("scene", full))?;
-    engine::build(scene, spacing, &app.config.limits).map_err(|error| match error {
+    scene.groups = options.layers.groups(&scene)?;
+    let bytes = memory::estimate(&scene, spacing);
+    let of_layers = memory::estimate_layers(bytes, layers::count(&scene, &scene.groups));
+    let what = if of_layers > 0 { "scene with its layers" } else { "scene" };
+    let _promise = app.promise_memory(bytes.saturating_add(of_layers), 0).map_err(|full| memory_problem(what, full))?;
+    engine::build(scene, spacing, limits).map_err(|error| match error {
         WorldError::TooLarge { .. } | WorldError::Surface { source: SurfaceError::TooManyElements { .. }, .. } => {
             Problem::new(Kind::SceneTooLarge, error.to_string())
         }

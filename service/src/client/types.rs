@@ -15,6 +15,8 @@ pub struct NewScene {
     pub mode: Option<String>,
     /// Constant radiance from outside.
     pub environment: Option<[f32; 3]>,
+    /// `shared`, `each` or a JSON object of layers with their lights.
+    pub layers: Option<String>,
     /// `false`: upload only.
     pub bake: Option<bool>,
 }
@@ -27,6 +29,7 @@ impl NewScene {
             ("spacing", self.spacing.map(|spacing| spacing.to_string())),
             ("mode", self.mode.clone()),
             ("environment", environment),
+            ("layers", self.layers.clone()),
             ("bake", self.bake.map(|bake| bake.to_string())),
         ]
         .into_iter()

@@ -9,7 +9,8 @@ use super::queue::{JobNumber, Outcome};
 use super::{JobSpec, Stop, merge};
 use crate::compute::catching;
 use crate::engine::{
-    Budget, Canceled, LightMap, Pass, Progress, Transition, Update, World, carry_over, have_same_slots, lengthened,
+    Budget, Canceled, Edit, LightMap, Pass, Progress, Transition, Update, World, carry_over, have_same_slots,
+    lengthened, with_layers_of,
 };
 use crate::state::App;
 use crate::store::lighting::{Sequence, Unlit, Work};
@@ -105,7 +106,8 @@ fn light(app: &Arc<App>, run: &Run) -> Outcome {
                 };
                 scene.earlier.remember(&transition.before, &map);
                 if let Some(known) = scene.earlier.recall(&transition.after) {
-                    map = lengthened(&known, step.slots);
+                    let known = lengthened(&known, step.slots);
+                    map = if step.relights { with_layers_of(known, &map, &transition.after.scene) } else { known };
                     restore(&observer, scene, step.sequence, &transition.after, &map);
                     continue;
                 }
@@ -153,6 +155,12 @@ struct Step {
     transition: Option<Arc<Transition>>,
     /// From where the map is to there, without light.
     carries: Vec<Arc<Transition>>,
+    /// Nothing but strengths of lights changes.
+    relights: bool,
+}
+
+fn relights(edits: &[Edit]) -> bool {
+    edits.iter().all(|edit| matches!(edit, Edit::Relight { .. }))
 }
 
 /// What is due, in as few steps as give the same result.
@@ -163,6 +171,7 @@ fn steps(due: Vec<Unlit>) -> Vec<Step> {
     let each = |unlit: Unlit| Step {
         sequence: unlit.sequence,
         slots: unlit.transition.after.slots(),
+        relights: relights(&unlit.edits),
         transition: Some(unlit.transition),
         carries: Vec::new(),
     };
@@ -179,6 +188,7 @@ fn merged(due: &[Unlit]) -> Option<Step> {
         return None;
     }
     let after = &last.transition.after;
+    let relights = relights(&fewer);
     let transition = match fewer.is_empty() {
         true => None,
         false => {
@@ -190,7 +200,7 @@ fn merged(due: &[Unlit]) -> Option<Step> {
     };
     tracing::info!(edits = count, lit = fewer.len(), "merged");
     let carries = due.iter().map(|unlit| unlit.transition.clone()).collect();
-    Some(Step { sequence: last.sequence, slots: after.slots(), transition, carries })
+    Some(Step { sequence: last.sequence, slots: after.slots(), transition, carries, relights })
 }
 
 /// Takes over the map that a piece of work ends with, if it ends with one that is right. A job out of time ends well

@@ -1,9 +1,9 @@
 //! Light maps of a scene's earlier states: whoever takes an edit back gets the map from before it, bit for bit.
 
-use std::collections::VecDeque;
+use std::collections::{HashSet, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use crate::engine::{LightMap, World, fitted};
+use crate::engine::{Layer, LightMap, World, fitted};
 
 /// States kept per scene.
 const KEPT: usize = 4;
@@ -36,9 +36,15 @@ impl Earlier {
         Some(fitted(map, world.slots()))
     }
 
-    /// Bytes of the maps that are kept.
-    pub(crate) fn memory_bytes(&self) -> usize {
+    /// Bytes of the maps that are kept, without the layers that they share with each other and with `shown`.
+    pub(crate) fn memory_bytes(&self, shown: &LightMap) -> usize {
         const PER_ELEMENT: usize = 28;
-        self.lock().iter().map(|(_, map)| map.len() * PER_ELEMENT).sum()
+        let mut counted: HashSet<*const Layer> = shown.layers.iter().map(Arc::as_ptr).collect();
+        let mut bytes = 0;
+        for (_, map) in self.lock().iter() {
+            let own = map.layers.iter().filter(|layer| counted.insert(Arc::as_ptr(layer)));
+            bytes += (map.len() + own.map(|layer| layer.direct.len()).sum::<usize>()) * PER_ELEMENT;
+        }
+        bytes
     }
 }

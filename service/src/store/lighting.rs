@@ -127,7 +127,7 @@ impl Lighting {
         if self.lit.is_none() {
             self.drop_lit(self.shown_sequence);
         }
-        Some(published.next(Some(world), map, published.estimated_rmse))
+        Some(published.next(Some(world), map, &published.weights(), published.estimated_rmse))
     }
 
     /// What is to be done so that the light is right for the published world.
@@ -153,11 +153,15 @@ impl Lighting {
     /// The next version, which shows a map that is right for `sequence` on the published world.
     pub(crate) fn snapshot(&mut self, published: &Published, sequence: Sequence, lit: Lit<'_>) -> Published {
         let mut map = lit.map.clone();
+        let mut scene = None;
         for (_, unlit) in self.unlit.range((Excluded(sequence), Included(self.shown_sequence))) {
             map = carry_over(&unlit.transition, &map);
+            scene.get_or_insert(&unlit.transition.before.scene);
         }
+        // Of the lights that the map is right for: those of later edits are not in it.
+        let weights = map.layer_weights(scene.unwrap_or(&published.world.scene));
         self.right_for = lit.is_right.then_some(sequence);
-        published.next(None, map, lit.estimated_rmse)
+        published.next(None, map, &weights, lit.estimated_rmse)
     }
 
     /// The map, where it is right for all that was accepted and clients see all of that.
@@ -172,7 +176,8 @@ impl Lighting {
         self.settled(published).filter(|map| Arc::ptr_eq(map, of))?;
         self.lit = Some(lit.map.clone());
         self.right_for = Some(self.shown_sequence);
-        Some(published.next(None, lit.map.clone(), lit.estimated_rmse))
+        let weights = lit.map.layer_weights(&published.world.scene);
+        Some(published.next(None, lit.map.clone(), &weights, lit.estimated_rmse))
     }
 
     /// `map` is right for `sequence`.

@@ -5,6 +5,7 @@ pub(crate) mod assets;
 pub(crate) mod disk;
 mod earlier;
 pub mod faults;
+pub(crate) mod layers;
 pub(crate) mod lighting;
 pub(crate) mod records;
 pub(crate) mod scenes;

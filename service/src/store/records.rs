@@ -1,5 +1,6 @@
 //! What has to survive a restart, as plain data.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use jiff::Timestamp;
@@ -19,6 +20,9 @@ pub(crate) struct SceneRecord {
     /// The spacing in force, also where the client left it open.
     pub(crate) spacing: f32,
     pub(crate) environment: Option<[f32; 3]>,
+    /// Names of lights with those of their layers.
+    #[serde(default)]
+    pub(crate) groups: BTreeMap<String, String>,
     pub(crate) created_at: Timestamp,
 }
 
@@ -116,4 +120,7 @@ pub(crate) struct LightState {
     pub(crate) lineage: Lineage,
     /// Hash of the published world's elements.
     pub(crate) layout: String,
+    /// What the layers of the published map count in it: bits of RGB, since JSON knows neither infinity nor NaN.
+    #[serde(default)]
+    pub(crate) weights: Vec<[u32; 3]>,
 }

@@ -4,12 +4,14 @@
 //! newest map, however old the client's map is: no history of maps is kept, and a client that slept for a hundred
 //! versions gets one frame.
 
+use std::borrow::Cow;
 use std::sync::{Arc, OnceLock};
 
 use glam::Vec3;
 use rebake_core::delta::{Frame, same_bits};
 use serde::{Deserialize, Serialize};
 
+use super::layers::PublishedLayer;
 use super::records::LightState;
 use crate::engine::{LightMap, ObjectSummary, World, layout_hash, objects};
 
@@ -56,29 +58,30 @@ pub(crate) enum Mode {
     Indirect,
 }
 
-/// One part of a light map.
+/// One part of a light map, or of one of its layers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Layer {
+pub(crate) enum Part {
     Full,
     Direct,
     Indirect,
 }
 
-impl Layer {
+impl Part {
     pub(crate) fn as_str(self) -> &'static str {
         match self {
-            Layer::Full => "full",
-            Layer::Direct => "direct",
-            Layer::Indirect => "indirect",
+            Part::Full => "full",
+            Part::Direct => "direct",
+            Part::Indirect => "indirect",
         }
     }
 }
 
 impl Mode {
-    pub(crate) fn layer(self) -> Layer {
+    /// What is published.
+    pub(crate) fn part(self) -> Part {
         match self {
-            Mode::Full => Layer::Full,
-            Mode::Indirect => Layer::Indirect,
+            Mode::Full => Part::Full,
+            Mode::Indirect => Part::Indirect,
         }
     }
 }
@@ -98,6 +101,8 @@ pub(crate) struct Published {
     mode: Mode,
     /// Direct + indirect, where that is what is published.
     totals: Option<Vec<Vec3>>,
+    /// The layers of the map, in its order.
+    pub(crate) layers: Vec<PublishedLayer>,
     /// Per slot: the version that last changed its value.
     pub(crate) changed: Arc<[u64]>,
     lineage: Arc<Lineage>,
@@ -116,6 +121,7 @@ impl Published {
             estimated_rmse: None,
             mode,
             totals: (mode == Mode::Full).then(|| vec![Vec3::ZERO; slots]),
+            layers: Vec::new(),
             changed: vec![0; slots].into(),
             lineage: Arc::default(),
         }
@@ -130,13 +136,14 @@ impl Published {
         changed: Arc<[u64]>,
         reserved: u64,
     ) -> Published {
-        let LightState { mut version, elements_version, estimated_rmse, mut lineage, .. } = state;
+        let LightState { mut version, elements_version, estimated_rmse, mut lineage, weights, .. } = state;
         if reserved > version {
             // Clients may have versions that are lost. Where their version is not a part of what led to the new one,
             // they get everything.
             lineage.lose(version, reserved + 1);
             version = reserved + 1;
         }
+        let weights: Vec<Vec3> = weights.iter().map(|bits| Vec3::from(bits.map(f32::from_bits))).collect();
         Published {
             version,
             elements_version,
@@ -145,6 +152,7 @@ impl Published {
             estimated_rmse,
             mode,
             totals: (mode == Mode::Full).then(|| totals(&map)),
+            layers: PublishedLayer::first(&map, &weights, version),
             changed,
             lineage: Arc::new(lineage),
             map,
@@ -171,11 +179,18 @@ impl Published {
             estimated_rmse: self.estimated_rmse,
             lineage: (*self.lineage).clone(),
             layout: layout_hash(&self.world),
+            weights: self.layers.iter().map(|layer| layer.weight.to_array().map(f32::to_bits)).collect(),
         }
     }
 
-    /// The version after this one. `world` is given where it changed.
-    pub(crate) fn next(&self, world: Option<World>, map: Arc<LightMap>, estimated_rmse: Option<f32>) -> Published {
+    /// The version after this one. `world` is given where it changed, `weights` are those of the map's layers.
+    pub(crate) fn next(
+        &self,
+        world: Option<World>,
+        map: Arc<LightMap>,
+        weights: &[Vec3],
+        estimated_rmse: Option<f32>,
+    ) -> Published {
         let version = self.version + 1;
         let elements_version = if world.is_some() { version } else { self.elements_version };
         let (world, objects) = match world {
@@ -188,7 +203,9 @@ impl Published {
             Mode::Full => Some(totals(&map)),
             Mode::Indirect => None,
         };
+        assert_eq!(map.layers.len(), weights.len(), "every layer has a weight");
         let mut next = Published {
+            layers: PublishedLayer::next(&self.layers, &map, weights, self.mode.part(), version),
             version,
             elements_version,
             world,
@@ -224,16 +241,31 @@ impl Published {
         self.totals.as_deref().unwrap_or(&self.map.indirect)
     }
 
-    /// One value per slot of a layer.
-    pub(crate) fn layer(&self, layer: Layer) -> std::borrow::Cow<'_, [Vec3]> {
-        if layer == self.mode.layer() {
+    /// What the layers count in the map.
+    pub(crate) fn weights(&self) -> Vec<Vec3> {
+        self.layers.iter().map(|layer| layer.weight).collect()
+    }
+
+    /// One value per slot of a part of the light.
+    pub(crate) fn part(&self, part: Part) -> Cow<'_, [Vec3]> {
+        if part == self.mode.part() {
             return self.values().into();
         }
-        match layer {
-            Layer::Full => totals(&self.map).into(),
-            Layer::Direct => self.map.direct.as_slice().into(),
-            Layer::Indirect => self.map.indirect.as_slice().into(),
+        match part {
+            Part::Full => totals(&self.map).into(),
+            Part::Direct => self.map.direct.as_slice().into(),
+            Part::Indirect => self.map.indirect.as_slice().into(),
         }
+    }
+
+    /// The layer of that name.
+    pub(crate) fn layer(&self, name: &str) -> Option<&PublishedLayer> {
+        self.layers.iter().find(|layer| layer.layer.name == name)
+    }
+
+    /// What a client lacks that has a layer's values at version `since`; none where the map has no such layer.
+    pub(crate) fn layer_delta(&self, name: &str, since: u64) -> Option<Frame> {
+        Some(self.layer(name)?.delta(self.mode.part(), since, self.version))
     }
 
     /// What a client at version `since` lacks; everything where that is 0 or nothing is known of that version.
@@ -248,7 +280,7 @@ impl Published {
     pub(crate) fn memory_bytes(&self) -> usize {
         let vec3 = size_of::<Vec3>();
         let per_slot = 2 * vec3 + size_of::<f32>() + size_of::<u64>() + if self.totals.is_some() { vec3 } else { 0 };
-        self.map.len() * per_slot
+        self.map.len() * per_slot + self.layers.iter().map(PublishedLayer::memory_bytes).sum::<usize>()
     }
 }
 

@@ -73,6 +73,15 @@ pub(super) enum Operation {
         #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
         direction: Option<Point>,
     },
+    /// Let lights share a layer of the light map, so that they are relit together without rays
+    GroupLights {
+        /// Names of lights
+        #[arg(value_name = "LIGHT", required = true)]
+        lights: Vec<String>,
+        /// Name of the layer [default: the lights leave their groups]
+        #[arg(long)]
+        name: Option<String>,
+    },
 }
 
 /// A light to add.
@@ -177,6 +186,7 @@ impl Operation {
                 set(&mut edit, "direction", direction.map(|point| json!(point.0)));
                 edit
             }
+            Operation::GroupLights { lights, name } => json!({"op": "group_lights", "name": name, "lights": lights}),
         }
     }
 }

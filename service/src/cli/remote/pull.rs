@@ -27,7 +27,7 @@ pub(in super::super) struct PullArgs {
     /// File to write
     #[arg(short, long, value_name = "OUT.{glb,exr,rbkd}", value_parser = output_file)]
     output: PathBuf,
-    /// One layer of the light map instead of all, e.g. `direct` or `indirect`
+    /// One part of the light (`direct`, `indirect`), one layer by its name, or `all` layers in one .exr
     #[arg(long)]
     layer: Option<String>,
 }

@@ -34,6 +34,10 @@ pub(in super::super) struct PushArgs {
     /// Constant radiance from outside, linear RGB [default: black]
     #[arg(long, value_name = "R,G,B")]
     environment: Option<Rgb>,
+    /// Lights with layers of their own, which are relit without rays: `shared` (none yet), `each`, or groups as JSON, e.g.
+    /// '{"ceiling": ["lamp-1", "lamp-2"]}' [default: shared]
+    #[arg(long, value_name = "shared|each|JSON")]
+    layers: Option<String>,
     /// Upload only
     #[arg(long, conflicts_with = "wait")]
     no_bake: bool,
@@ -51,6 +55,7 @@ pub(in super::super) async fn push(args: PushArgs) -> anyhow::Result<()> {
         spacing: args.spacing.map(|spacing| spacing as f32),
         mode: args.mode,
         environment: args.environment.map(|rgb| rgb.0.map(|x| x as f32)),
+        layers: args.layers,
         bake: args.no_bake.then_some(false),
     };
     let spinner = ui::spinner("upload");

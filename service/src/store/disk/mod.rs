@@ -103,7 +103,14 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let disk = Disk::open(directory.path(), Faults::default(), 2).unwrap();
         let (name, created_at) = ("a".to_owned(), Timestamp::now());
-        let scene = SceneRecord { name, mode: Mode::Full, spacing: 0.1, environment: None, created_at };
+        let scene = SceneRecord {
+            name,
+            mode: Mode::Full,
+            spacing: 0.1,
+            environment: None,
+            groups: Default::default(),
+            created_at,
+        };
         disk.scene_created(1, &scene, b"glb", Some(&job(1, 1))).unwrap();
         disk.job_changed(&job(2, 1)).unwrap();
         let mut done = job(1, 1);

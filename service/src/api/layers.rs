@@ -1,0 +1,256 @@
+//! Layers, as clients ask for them and see them.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::Deserialize;
+
+use super::edit_lights::{check_group, check_products};
+use super::problem::{ApiResult, Kind, Problem};
+use super::types;
+use super::uploads::memory_problem;
+use crate::engine::{Edit, MAX_LAYERS, SHARED_LAYER, Scene};
+use crate::memory::{self, Promise};
+use crate::state::App;
+use crate::store::layers::{LAYER_BYTES, PublishedLayer};
+use crate::store::scenes::SceneEntry;
+use crate::store::versions::{Part, Published};
+
+/// Groups of lights; one layer is left for the lights in none.
+const MAX_GROUPS: usize = MAX_LAYERS - 1;
+
+/// The layers that an upload asks for.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) enum Wanted {
+    /// One of all lights, until somebody relights or groups some.
+    #[default]
+    Shared,
+    /// One per light.
+    Each,
+    /// Names of layers with those of their lights.
+    Groups(BTreeMap<String, Vec<String>>),
+}
+
+impl Wanted {
+    /// Reads the query parameter `layers`.
+    pub(super) fn parse(text: &str, max_name: usize) -> ApiResult<Wanted> {
+        match text {
+            "shared" => return Ok(Wanted::Shared),
+            "each" => return Ok(Wanted::Each),
+            _ => {}
+        }
+        let read = |error: serde_json::Error| {
+            let example = r#"{"ceiling": ["lamp-1"]}"#;
+            refused(format!("has to be `shared`, `each` or a JSON object of lists of lights, as {example}: {error}"))
+        };
+        let Groups(groups) = serde_json::from_str(text).map_err(read)?;
+        if groups.len() > MAX_GROUPS {
+            return Err(refused(format!(
+                "names {} layers, a scene has at most {MAX_GROUPS} beside the shared one",
+                groups.len()
+            )));
+        }
+        for (name, lights) in &groups {
+            check_group(name, "layers", max_name)?;
+            if lights.is_empty() {
+                return Err(refused(format!("{name:?} names no light")));
+            }
+        }
+        Ok(Wanted::Groups(groups))
+    }
+
+    /// Names of lights with those of their layers.
+    pub(super) fn groups(&self, scene: &Scene) -> ApiResult<BTreeMap<String, String>> {
+        let lists = match self {
+            Wanted::Shared => return Ok(BTreeMap::new()),
+            Wanted::Groups(lists) => lists,
+            Wanted::Each if scene.lights.len() > MAX_GROUPS => {
+                let count = scene.lights.len();
+                let reason = format!(
+                    "the scene has {count} lights, at most {MAX_GROUPS} can have layers of their own: group them, as {}",
+                    r#"layers={"ceiling": ["lamp-1", "lamp-2"]}"#
+                );
+                return Err(refused(reason));
+            }
+            Wanted::Each => {
+                let own = |light: &rebake_core::scene::Light| (light.name.clone(), light.name.clone());
+                return Ok(scene.lights.iter().map(own).collect());
+            }
+        };
+        let known: BTreeSet<&str> = scene.lights.iter().map(|light| light.name.as_str()).collect();
+        let mut groups = BTreeMap::new();
+        for (name, lights) in lists {
+            for light in lights {
+                if !known.contains(light.as_str()) {
+                    let reason = format!("the scene has no light {light:?}");
+                    return Err(Problem::field(Kind::UnknownLight, "layers", reason));
+                }
+                if groups.insert(light.clone(), name.clone()).is_some() {
+                    return Err(refused(format!("names the light {light:?} twice")));
+                }
+            }
+        }
+        Ok(groups)
+    }
+}
+
+/// Layers that a bake of so grouped lights makes.
+pub(super) fn count(scene: &Scene, groups: &BTreeMap<String, String>) -> usize {
+    let names: BTreeSet<&String> = groups.values().collect();
+    let shares = !groups.is_empty() && scene.lights.iter().any(|light| !groups.contains_key(&light.name));
+    names.len() + usize::from(shares)
+}
+
+/// An object in which no name comes twice.
+struct Groups(BTreeMap<String, Vec<String>>);
+
+impl<'de> Deserialize<'de> for Groups {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Groups, D::Error> {
+        struct Visitor;
+        impl<'de> serde::de::Visitor<'de> for Visitor {
+            type Value = Groups;
+
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("an object of lists of lights")
+            }
+
+            fn visit_map<A: serde::de::MapAccess<'de>>(self, mut map: A) -> Result<Groups, A::Error> {
+                let mut groups = BTreeMap::new();
+                while let Some((name, lights)) = map.next_entry::<String, Vec<String>>()? {
+                    if groups.contains_key(&name) {
+                        return Err(serde::de::Error::custom(format!("{name:?} comes twice")));
+                    }
+                    groups.insert(name, lights);
+                }
+                Ok(Groups(groups))
+            }
+        }
+        deserializer.deserialize_map(Visitor)
+    }
+}
+
+fn refused(reason: String) -> Problem {
+    Problem::field(Kind::InvalidQuery, "layers", reason)
+}
+
+/// What a client asks for of a light map.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Chosen {
+    /// A part of all light.
+    Part(Part),
+    /// One layer, by its name.
+    Layer(String),
+    /// Every layer.
+    All,
+}
+
+/// Reads the query parameter `layer`. Words for parts come before names; a name between double quotes is always one.
+pub(super) fn choose(published: &Published, text: &str) -> ApiResult<Chosen> {
+    match text {
+        "full" => Ok(Chosen::Part(Part::Full)),
+        "direct" => Ok(Chosen::Part(Part::Direct)),
+        "indirect" => Ok(Chosen::Part(Part::Indirect)),
+        "all" => Ok(Chosen::All),
+        _ => find(published, text).map(Chosen::Layer),
+    }
+}
+
+/// The name of a layer of the map.
+pub(super) fn find(published: &Published, text: &str) -> ApiResult<String> {
+    let quoted = text.strip_prefix('"').and_then(|text| text.strip_suffix('"'));
+    let found = [Some(text), quoted].into_iter().flatten().find(|name| published.layer(name).is_some());
+    found.map(str::to_owned).ok_or_else(|| {
+        let names: Vec<String> = published.layers.iter().map(|layer| format!("{:?}", layer.layer.name)).collect();
+        let known = match names.is_empty() {
+            true => "it has none before a light is relit or lights are grouped".to_owned(),
+            false => format!("it has {}", names.join(", ")),
+        };
+        Problem::field(Kind::InvalidQuery, "layer", format!("the light map has no layer {text:?}; {known}"))
+    })
+}
+
+/// A layer, as a scene tells it.
+pub(super) fn describe(layer: &PublishedLayer) -> types::SceneLayer {
+    let light = |light: &rebake_core::layers::LayerLight| types::SceneLayerLight {
+        name: light.name.clone(),
+        reference: light.reference.to_array(),
+    };
+    types::SceneLayer {
+        name: layer.layer.name.clone(),
+        weight: layer.weight.to_array(),
+        lights: layer.layer.lights.iter().map(light).collect(),
+        memory_bytes: layer.memory_bytes() as u64,
+    }
+}
+
+/// The layers with their weights and lights, for the header of a picture.
+pub(super) fn to_json(published: &Published) -> String {
+    types::to_event_data(&published.layers.iter().map(describe).collect::<Vec<_>>()).to_string()
+}
+
+/// Checks what edits want of lights beyond what the engine does: strengths that are absurd, and memory for more layers.
+pub(super) fn check_edits<'a>(
+    app: &'a App,
+    scene: &SceneEntry,
+    after: &Scene,
+    edits: &[Edit],
+    is_list: bool,
+) -> ApiResult<Promise<'a>> {
+    check_products(edits, after, |i| if is_list { format!("edits[{i}]") } else { String::new() })?;
+    let published = scene.published();
+    let (now, then) = (published.layers.len(), expected(scene, &published, after, edits));
+    let more = (then.saturating_sub(now) * LAYER_BYTES * published.map.len()) as u64;
+    let inserted = memory::estimate_layers(memory::estimate_inserts(edits, published.world.spacing()), then);
+    let present = scene.accepted_bytes() + published.memory_bytes() as u64;
+    app.promise_memory(more + inserted, present).map_err(|full| memory_problem("scene with its layers", full))
+}
+
+/// Layers that the map will have, at most, once all that was accepted and `edits` are lit.
+fn expected(scene: &SceneEntry, published: &Published, after: &Scene, edits: &[Edit]) -> usize {
+    let mut names: BTreeSet<&str> = published.layers.iter().map(|layer| layer.layer.name.as_str()).collect();
+    names.extend(after.groups.values().map(String::as_str));
+    let waiting = scene.unlit_edits();
+    let all = || waiting.iter().flat_map(|(_, edits)| edits.iter()).chain(edits);
+    let is_alone = |light: &str| published.map.layer_of(light).is_some_and(|layer| layer.lights.len() == 1);
+    let relit = all().filter_map(|edit| if let Edit::Relight { lights } = edit { Some(lights) } else { None });
+    let relit = relit.flatten().map(|relight| relight.light.as_str());
+    names.extend(relit.filter(|light| !is_alone(light) && !after.groups.contains_key(*light)));
+    if names.is_empty() {
+        return 0;
+    }
+    names.extend(
+        all().filter_map(|edit| if let Edit::InsertLight { name, .. } = edit { Some(name.as_str()) } else { None }),
+    );
+    let shares = |layers: &[PublishedLayer]| layers.is_empty();
+    if shares(&published.layers) && after.lights.len() > names.len() {
+        names.insert(SHARED_LAYER);
+    }
+    names.len().min(MAX_LAYERS)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn layers_of_an_upload_are_words_or_an_object() {
+        let parse = |text: &str| Wanted::parse(text, 100).map_err(|problem| problem.to_string());
+        assert_eq!((parse("shared"), parse("each")), (Ok(Wanted::Shared), Ok(Wanted::Each)));
+        let Ok(Wanted::Groups(groups)) = parse(r#"{"ceiling": ["a", "b"]}"#) else { panic!() };
+        assert_eq!(groups["ceiling"], ["a", "b"]);
+        let many: Vec<String> = (0..16).map(|i| format!("\"{i}\": [\"a\"]")).collect();
+        let many = format!("{{{}}}", many.join(","));
+        for text in [
+            "",
+            "all",
+            "[]",
+            r#"{"a": []}"#,
+            r#"{"a": [1]}"#,
+            r#"{"": ["a"]}"#,
+            r#"{"shared": ["a"]}"#,
+            r#"{"a": ["b"], "a": ["c"]}"#,
+            &many,
+        ] {
+            assert!(parse(text).unwrap_err().starts_with("layers: "), "{text}");
+        }
+    }
+}

@@ -1,0 +1,135 @@
+//! Layers of published light maps, through time: beside every value of a layer stands the version that last changed it,
+//! as for the map itself. What a restart forgets is sent whole.
+
+use std::borrow::Cow;
+use std::sync::Arc;
+
+use glam::Vec3;
+use rebake_core::delta::{Frame, same_bits};
+
+use super::versions::Part;
+use crate::engine::{Layer, LightMap};
+
+/// Bytes of one element in one layer: direct, indirect, variance, and the version that last changed it.
+pub(crate) const LAYER_BYTES: usize = 36;
+
+/// One layer of a published map.
+#[derive(Clone)]
+pub(crate) struct PublishedLayer {
+    /// What it holds, at reference strengths.
+    pub(crate) layer: Arc<Layer>,
+    /// What it counts in the published map: that is the sum of weight × layer.
+    pub(crate) weight: Vec3,
+    /// What changed before this version is not known.
+    born: u64,
+    /// Per slot: the version that last changed its value.
+    changed: Arc<[u64]>,
+}
+
+impl PublishedLayer {
+    /// The layers of a map of which nothing earlier is known.
+    pub(crate) fn first(map: &LightMap, weights: &[Vec3], version: u64) -> Vec<PublishedLayer> {
+        let new = |(layer, weight): (&Arc<Layer>, &Vec3)| PublishedLayer::new(layer, *weight, version);
+        map.layers.iter().zip(weights).map(new).collect()
+    }
+
+    /// The layers of a later map. `part` is what their values are.
+    pub(crate) fn next(
+        old: &[PublishedLayer],
+        map: &LightMap,
+        weights: &[Vec3],
+        part: Part,
+        version: u64,
+    ) -> Vec<PublishedLayer> {
+        let next = |(layer, weight): (&Arc<Layer>, &Vec3)| {
+            let Some(known) = old.iter().find(|old| old.layer.name == layer.name) else {
+                return PublishedLayer::new(layer, *weight, version);
+            };
+            let changed = match Arc::ptr_eq(&known.layer, layer) {
+                true => known.changed.clone(),
+                false => known.changed_by(layer, part, version),
+            };
+            PublishedLayer { layer: layer.clone(), weight: *weight, born: known.born, changed }
+        };
+        map.layers.iter().zip(weights).map(next).collect()
+    }
+
+    fn new(layer: &Arc<Layer>, weight: Vec3, version: u64) -> PublishedLayer {
+        let changed = vec![version; layer.direct.len()].into();
+        PublishedLayer { layer: layer.clone(), weight, born: version, changed }
+    }
+
+    fn changed_by(&self, layer: &Layer, part: Part, version: u64) -> Arc<[u64]> {
+        let (old, new) = (values(&self.layer, part), values(layer, part));
+        let since = |slot: usize| match old.get(slot) {
+            Some(value) if same_bits(*value, new[slot]) => self.changed[slot],
+            _ => version,
+        };
+        (0..new.len()).map(since).collect()
+    }
+
+    /// One value per slot, at reference strengths.
+    pub(crate) fn values(&self, part: Part) -> Cow<'_, [Vec3]> {
+        values(&self.layer, part)
+    }
+
+    /// What a client lacks that has the layer's values (of the `part` that is published) at version `since`; everything
+    /// where that is 0 or nothing is known of that version.
+    pub(crate) fn delta(&self, part: Part, since: u64, version: u64) -> Frame {
+        let values = self.values(part);
+        if since == 0 || since < self.born {
+            return Frame::whole(&values, version);
+        }
+        Frame::from_changed(&values, |slot| self.changed[slot] > since, since, version)
+    }
+
+    /// Bytes of the values and what is kept beside them.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        self.layer.direct.len() * LAYER_BYTES
+    }
+}
+
+fn values(layer: &Layer, part: Part) -> Cow<'_, [Vec3]> {
+    match part {
+        Part::Full => layer.direct.iter().zip(&layer.indirect).map(|(direct, indirect)| *direct + *indirect).collect(),
+        Part::Direct => layer.direct.as_slice().into(),
+        Part::Indirect => layer.indirect.as_slice().into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn map(layers: &[(&str, Vec<f32>)]) -> LightMap {
+        let layer = |(name, values): &(&str, Vec<f32>)| {
+            let direct: Vec<Vec3> = values.iter().map(|x| Vec3::splat(*x)).collect();
+            let (indirect, variance) = (vec![Vec3::ONE; direct.len()], vec![0.0; direct.len()]);
+            Arc::new(Layer { name: (*name).to_owned(), direct, indirect, variance, ..Layer::default() })
+        };
+        LightMap { layers: layers.iter().map(layer).collect(), ..LightMap::default() }
+    }
+
+    #[test]
+    fn deltas_tell_what_changed_and_all_where_that_is_not_known() {
+        let weights = [Vec3::ONE; 2];
+        let one = map(&[("a", vec![1.0, 2.0])]);
+        let first = PublishedLayer::first(&one, &weights, 5);
+        // A slot more, a slot changed, another layer.
+        let two = map(&[("b", vec![0.0; 3]), ("a", vec![1.0, 3.0, 0.0])]);
+        let second = PublishedLayer::next(&first, &two, &weights, Part::Full, 6);
+        // Only weights change.
+        let third = PublishedLayer::next(&second, &two, &[Vec3::ZERO; 2], Part::Full, 7);
+        let [b, a] = third.as_slice() else { panic!("two layers") };
+        let values = |first: u32, frame: &Frame| (frame.runs[0].first == first).then_some(frame.values.len());
+        assert_eq!(values(1, &a.delta(Part::Full, 5, 7)), Some(2));
+        assert!(a.delta(Part::Full, 6, 7).values.is_empty());
+        for whole in [a.delta(Part::Full, 4, 7), a.delta(Part::Full, 0, 7), b.delta(Part::Full, 5, 7)] {
+            assert!(whole.flags.replace_all && whole.base == 0 && whole.values.len() == 3);
+        }
+        let mut client = first[0].values(Part::Full).into_owned();
+        a.delta(Part::Full, 5, 7).apply(&mut client).unwrap();
+        assert_eq!(client, *a.values(Part::Full));
+        assert_eq!((a.weight, a.values(Part::Indirect)[0]), (Vec3::ZERO, Vec3::ONE));
+    }
+}
