@@ -45,7 +45,9 @@ export const api = {
     }),
   mesh: async (scene: string) => (await call(`${of(scene)}/lightmap?format=glb`)).arrayBuffer(),
   layer: async (scene: string, layer: string) =>
-    (await call(`${of(scene)}/lightmap?format=raw&layer=${layer}`)).arrayBuffer(),
+    (await call(`${of(scene)}/lightmap?format=raw&layer=${encodeURIComponent(layer)}`)).arrayBuffer(),
+  layerDelta: async (scene: string, layer: string, since: number) =>
+    (await call(`${of(scene)}/lightmap/deltas?since=${since}&layer=${encodeURIComponent(layer)}`)).arrayBuffer(),
   deltas: (scene: string) => new URL(`${of(scene)}/lightmap/deltas`, document.baseURI).href,
   events: (scene: string) => new EventSource(`${of(scene)}/events`),
   /** A picture from the page's own camera: the picture, and the ends of its colour scale. */

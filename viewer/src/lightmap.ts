@@ -2,7 +2,7 @@
 
 import { DynamicDrawUsage, BufferAttribute } from 'three';
 import { apply, reach, type Frame } from './frames';
-import type { SceneObject } from './types';
+import type { Rgb, SceneObject } from './types';
 
 /** Marks elements that were not there before the edit. Estimated light may be a little below 0, never this far. */
 const NEW = -1e30;
@@ -84,10 +84,19 @@ export class LightMap {
     this.touch(0, this.elements);
   }
 
-  /** Shows one layer. */
-  showLayer(frames: Frame[]): void {
+  /** Shows one layer, each channel times a factor. */
+  showLayer(frames: Frame[], weight: Rgb = [1, 1, 1]): void {
     this.followsCurrent = false;
     for (const frame of frames) if (reach(frame) <= this.elements) apply(frame, this.shown);
+    if (weight.some((factor) => factor !== 1)) for (let i = 0; i < this.shown.length; i++) this.shown[i]! *= weight[i % 3]!;
+    this.touch(0, this.elements);
+  }
+
+  /** Shows base + change × layer, as long as the map has the length of both. */
+  showSum(base: Float32Array, layer: Float32Array, change: Rgb): void {
+    if (base.length !== this.shown.length || layer.length !== base.length) return;
+    this.followsCurrent = false;
+    for (let i = 0; i < base.length; i++) this.shown[i] = base[i]! + change[i % 3]! * layer[i]!;
     this.touch(0, this.elements);
   }
 

@@ -3,14 +3,14 @@
 import { api } from './api';
 import { Editor } from './editor';
 import { onDrop, onFile } from './files';
-import { FrameReader } from './frames';
 import { LightMap } from './lightmap';
-import { shared } from './material';
 import { attempting, banner, say } from './messages';
 import { $, details, list, make, work } from './panels';
 import { Plot } from './plot';
+import { Relighting } from './relighting';
 import { Stage, type Picked } from './stage';
 import type { Job, Point, Rgb, Scene } from './types';
+import { Views } from './views';
 import type { FromWorker } from './worker';
 
 const stage = new Stage($('canvas'));
@@ -31,8 +31,6 @@ const editor = new Editor(() => scene!, () => stage.view(), {
 
 let scene: Scene | null = null;
 let picked: Picked | null = null;
-let view = 'full';
-let exposure = 0;
 let version = 0;
 let events: EventSource | null = null;
 let jobs: Job[] = [];
@@ -43,6 +41,8 @@ const assets = new Map<string, string>();
 
 /** Runs something that may fail, and says how; what the service refused may rest on an old state of the scene. */
 const attempt = (what: () => Promise<unknown>) => attempting(what, async () => scene && refresh());
+const views = new Views(() => scene, stage, map, attempt);
+const relighting = new Relighting(map);
 
 // ---- scenes
 
@@ -118,6 +118,10 @@ async function refresh(): Promise<void> {
   await showMesh();
   stage.select(picked);
   panels();
+  // The layers' weights may be new.
+  views.refresh();
+  settle();
+  prepare();
 }
 
 // ---- what the service tells
@@ -149,6 +153,15 @@ function told(job: Job): void {
   if (job.state === 'failed') banner(`The job failed: ${job.error}`);
   if (scene && rank[job.state] === 2) scene.estimated_rmse = estimated_rmse ?? scene.estimated_rmse;
   panelsOfWork();
+  // Layers and their weights are those of the newest version.
+  if (scene && rank[job.state] === 2) void attempt(refresh);
+  settle();
+}
+
+/** Once the service's map has all that was relit, it counts and not what the page worked out. */
+function settle(): void {
+  const isOver = jobs.every((job) => job.state !== 'queued' && job.state !== 'running' && (job.progress.version ?? 0) <= version);
+  if (isOver && !dragged) relighting.rest();
 }
 
 let isLost = false;
@@ -174,7 +187,8 @@ worker.onmessage = ({ data }: MessageEvent<FromWorker>) => {
       }
       const rate = data.elements > 10_000 ? `, decoded at ${Math.round(data.elements / data.ms / 1000)} M elements/s` : '';
       $('numbers').dataset['stream'] = `version ${version}: ${data.elements.toLocaleString('en')} values${rate}`;
-      overlays();
+      settle();
+      views.refresh();
       stage.invalidate();
       break;
     }
@@ -196,76 +210,6 @@ worker.onmessage = ({ data }: MessageEvent<FromWorker>) => {
   }
 };
 
-// ---- views
-
-let layerRequest = 0;
-let picture: AbortController | null = null;
-
-/** What the view needs beside the map: layers and the service's own pictures, fetched anew with every version. */
-function overlays(): void {
-  const isPicture = view === 'picture' || view === 'error';
-  const isLayer = view === 'direct' || view === 'indirect';
-  if (view === 'change') {
-    shared.scale.value = map.changeScale();
-    $('legend-low').textContent = `−${shared.scale.value.toPrecision(1)}`;
-    $('legend-high').textContent = `+${shared.scale.value.toPrecision(1)}`;
-  }
-  if (isLayer) void attempt(fetchLayer);
-  if (isPicture) void attempt(fetchPicture);
-}
-
-async function fetchLayer(): Promise<void> {
-  const request = ++layerRequest;
-  const file = await api.layer(scene!.id, view);
-  if (request !== layerRequest || (view !== 'direct' && view !== 'indirect')) return;
-  map.showLayer(new FrameReader().push(new Uint8Array(file)));
-  stage.invalidate();
-}
-
-async function fetchPicture(): Promise<void> {
-  picture?.abort();
-  const mine = (picture = new AbortController());
-  try {
-    const kind = view === 'error' ? 'error' : 'full';
-    const blob = await api.picture(scene!.id, kind, stage.view(), exposure, mine.signal);
-    if (picture !== mine) return;
-    const image = $<HTMLImageElement>('picture');
-    URL.revokeObjectURL(image.src);
-    image.src = URL.createObjectURL(blob);
-    image.hidden = false;
-  } catch (error) {
-    if (!mine.signal.aborted) throw error;
-  }
-}
-
-function setView(next: string): void {
-  view = next;
-  $<HTMLSelectElement>('view').value = view;
-  shared.mode.value = { map: 1, change: 2 }[view] ?? 0;
-  shared.emissive.value = view === 'indirect' ? 0 : 1;
-  layerRequest++;
-  picture?.abort();
-  $('picture').hidden = true;
-  $('legend').hidden = view !== 'change';
-  if (view !== 'direct' && view !== 'indirect') map.showCurrent();
-  if (scene) overlays();
-  stage.invalidate();
-}
-
-function setExposure(stops: number): void {
-  exposure = Math.max(-6, Math.min(6, stops));
-  stage.exposure = exposure;
-  $<HTMLInputElement>('exposure').value = String(exposure);
-  $('stops').textContent = exposure.toFixed(1);
-  if (view === 'picture' && scene) overlays();
-}
-
-function setSplit(on: boolean): void {
-  $<HTMLInputElement>('split').checked = stage.split = on;
-  $('split-line').hidden = !on;
-  stage.invalidate();
-}
-
 function useCamera(): void {
   const camera = scene?.cameras[Number($<HTMLSelectElement>('cameras').value || -1)];
   if (camera) stage.use(camera);
@@ -278,6 +222,7 @@ function choose(next: Picked | null): void {
   picked = next;
   stage.select(picked);
   panels();
+  prepare();
 }
 
 const object = () => scene?.objects.find((o) => picked?.kind === 'object' && o.name === picked.name);
@@ -290,11 +235,18 @@ function remove(): void {
   else if (l) void attempt(() => editor.removeLight(l));
 }
 
+/** Has the layer of the selected light at hand, for its sliders. */
+function prepare(): void {
+  const [at, l] = [scene, light()];
+  if (at && l) void attempt(() => relighting.prepare(at, l));
+}
+
 let dragged: { from: ReturnType<typeof light>; next: [Rgb, number] | null; busy: boolean } | null = null;
 
 /** Sends the newest position of a slider, one request at a time: what is in between is skipped. */
 function relight(color: Rgb, intensity: number, done: boolean): void {
   dragged ??= { from: structuredClone(light()), next: null, busy: false };
+  if (scene && dragged.from && views.isMap && relighting.show(scene, dragged.from, version, color, intensity)) stage.invalidate();
   const drag = dragged;
   drag.next = [color, intensity];
   if (done) dragged = null;
@@ -314,7 +266,7 @@ function relight(color: Rgb, intensity: number, done: boolean): void {
 }
 
 stage.onPick = choose;
-stage.onCamera = () => scene && (view === 'picture' || view === 'error') && overlays();
+stage.onCamera = () => scene && views.isPicture && views.refresh();
 stage.onMoved = (_, delta) => {
   const [o, l] = [object(), light()];
   if (o) void attempt(() => editor.move(o, delta));
@@ -355,6 +307,7 @@ function panels(): void {
   list('assets', [...assets.keys()], null, (name) => {
     if (scene) void attempt(() => editor.insert(assets.get(name)!, name, stage.view().target));
   });
+  views.offer(scene);
   details(scene, picked, {
     remove,
     relight,
@@ -379,17 +332,17 @@ function keys(event: KeyboardEvent): void {
   // Lists of choices take letters and digits themselves; sliders and boxes do not.
   if (target instanceof HTMLSelectElement) return;
   const control = event.ctrlKey || event.metaKey;
-  const views = [...$<HTMLSelectElement>('view').options].map((o) => o.value);
+  const choices = [...$<HTMLSelectElement>('view').options].map((o) => o.value);
   const key = event.key.toLowerCase();
   if (control && key === 'z') void attempt(() => (event.shiftKey ? editor.redo() : editor.undo()));
   else if (control && key === 'y') void attempt(() => editor.redo());
   else if (control) return;
   else if (key === 'delete') remove();
   else if (key === 'escape') choose(null);
-  else if (key === 's') setSplit(!stage.split);
+  else if (key === 's') views.split(!stage.split);
   else if (key === 'f') stage.frameSelected();
-  else if (key === '[' || key === ']') setExposure(exposure + (key === '[' ? -0.5 : 0.5));
-  else if (views[Number(key) - 1]) setView(views[Number(key) - 1]!);
+  else if (key === '[' || key === ']') views.expose(views.exposure + (key === '[' ? -0.5 : 0.5));
+  else if (choices[Number(key) - 1]) views.set(choices[Number(key) - 1]!);
   else return;
   event.preventDefault();
 }
@@ -406,10 +359,10 @@ $('add-light').addEventListener('click', () => {
 $('undo').addEventListener('click', () => void attempt(() => editor.undo()));
 $('redo').addEventListener('click', () => void attempt(() => editor.redo()));
 $('scenes').addEventListener('change', ({ target }) => void attempt(() => open((target as HTMLSelectElement).value)));
-$('view').addEventListener('change', ({ target }) => setView((target as HTMLSelectElement).value));
-$('split').addEventListener('change', ({ target }) => setSplit((target as HTMLInputElement).checked));
+$('view').addEventListener('change', ({ target }) => views.set((target as HTMLSelectElement).value));
+$('split').addEventListener('change', ({ target }) => views.split((target as HTMLInputElement).checked));
 $('cameras').addEventListener('change', useCamera);
-$('exposure').addEventListener('input', ({ target }) => setExposure(Number((target as HTMLInputElement).value)));
+$('exposure').addEventListener('input', ({ target }) => views.expose(Number((target as HTMLInputElement).value)));
 document.addEventListener('keydown', keys);
 onDrop((file) => attempt(() => upload(file)));
 setInterval(() => {
@@ -417,7 +370,7 @@ setInterval(() => {
   $('numbers').textContent = [mesh, stream, stage.frameMs ? `frame ${stage.frameMs.toFixed(0)} ms` : ''].filter(Boolean).join(' · ');
 }, 500);
 // For the console and for tests.
-Object.assign(window, { rebake: { stage, map, api, state: () => ({ scene, version, jobs, exposure, view }) } });
+Object.assign(window, { rebake: { stage, map, api, state: () => ({ scene, version, jobs, exposure: views.exposure, view: views.current }) } });
 
 buttons();
 panels();

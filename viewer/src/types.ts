@@ -20,9 +20,18 @@ export interface Light {
   kind: 'emissive' | 'point' | 'spot' | 'directional' | 'environment';
   color: Rgb;
   intensity: number;
+  /** The layer that holds its light. */
+  layer: string | null;
   object?: string;
   position?: Point;
   direction?: Point;
+}
+
+/** The light of some lights at reference strengths; the map is the sum of weight × layer. */
+export interface SceneLayer {
+  name: string;
+  weight: Rgb;
+  lights: { name: string; reference: Rgb }[];
 }
 
 export interface Camera {
@@ -44,6 +53,7 @@ export interface Scene {
   estimated_rmse: number | null;
   objects: SceneObject[];
   lights: Light[];
+  layers: SceneLayer[];
   cameras: Camera[];
   warnings: string[];
   current_job: string | null;
