@@ -136,9 +136,9 @@ fn accept(
         true => None,
         false => Some(head.world.apply(&edits).map_err(|error| edit_problem(error, parsed.is_list))?),
     };
-    let mut _layers = None;
+    let mut layers = None;
     if let Some(transition) = &transition {
-        _layers = Some(check_edits(app, scene, &transition.after.scene, &edits, parsed.is_list)?);
+        layers = Some(check_edits(app, scene, &transition.after, &edits, parsed.is_list)?);
         app.pictures.remember(scene.number, scene.published());
     }
     let mut jobs = head.jobs;
@@ -154,6 +154,7 @@ fn accept(
         head.world = transition.after.clone();
         head.sequence = spec.sequence;
         scene.set_accepted_bytes(head.world.memory_bytes() as u64);
+        layers.iter().for_each(|room| scene.expect_layers(room.expected));
         Unlit { sequence: spec.sequence, transition: Arc::new(transition), edits: edits.into() }
     });
     head.jobs = jobs;

@@ -8,8 +8,8 @@ use super::edit_lights::{check_group, check_products};
 use super::problem::{ApiResult, Kind, Problem};
 use super::types;
 use super::uploads::memory_problem;
-use crate::engine::{Edit, MAX_LAYERS, SHARED_LAYER, Scene};
-use crate::memory::{self, Promise};
+use crate::engine::{Edit, MAX_LAYERS, SHARED_LAYER, Scene, World};
+use crate::memory::Promise;
 use crate::state::App;
 use crate::store::layers::{LAYER_BYTES, PublishedLayer};
 use crate::store::scenes::SceneEntry;
@@ -187,21 +187,30 @@ pub(super) fn to_json(published: &Published) -> String {
     types::to_event_data(&published.layers.iter().map(describe).collect::<Vec<_>>()).to_string()
 }
 
+/// Memory for the layers of a scene with more edits.
+pub(super) struct Room<'a> {
+    /// Bytes of all layers, once the edits are lit.
+    pub(super) expected: u64,
+    _promise: Promise<'a>,
+}
+
 /// Checks what edits want of lights beyond what the engine does: strengths that are absurd, and memory for more layers.
 pub(super) fn check_edits<'a>(
     app: &'a App,
     scene: &SceneEntry,
-    after: &Scene,
+    after: &World,
     edits: &[Edit],
     is_list: bool,
-) -> ApiResult<Promise<'a>> {
-    check_products(edits, after, |i| if is_list { format!("edits[{i}]") } else { String::new() })?;
+) -> ApiResult<Room<'a>> {
+    check_products(edits, &after.scene, |i| if is_list { format!("edits[{i}]") } else { String::new() })?;
     let published = scene.published();
-    let (now, then) = (published.layers.len(), expected(scene, &published, after, edits));
-    let more = (then.saturating_sub(now) * LAYER_BYTES * published.map.len()) as u64;
-    let inserted = memory::estimate_layers(memory::estimate_inserts(edits, published.world.spacing()), then);
-    let present = scene.accepted_bytes() + published.memory_bytes() as u64;
-    app.promise_memory(more + inserted, present).map_err(|full| memory_problem("scene with its layers", full))
+    let count = expected(scene, &published, &after.scene, edits);
+    let expected = (count * LAYER_BYTES * after.slots()) as u64;
+    let to_come = scene.layers_to_come(&published);
+    let more = expected.saturating_sub(published.layer_bytes() as u64 + to_come);
+    let present = scene.accepted_bytes() + published.memory_bytes() as u64 + to_come;
+    let promise = app.promise_memory(more, present);
+    Ok(Room { expected, _promise: promise.map_err(|full| memory_problem("scene with its layers", full))? })
 }
 
 /// Layers that the map will have, at most, once all that was accepted and `edits` are lit.
@@ -220,8 +229,7 @@ fn expected(scene: &SceneEntry, published: &Published, after: &Scene, edits: &[E
     names.extend(
         all().filter_map(|edit| if let Edit::InsertLight { name, .. } = edit { Some(name.as_str()) } else { None }),
     );
-    let shares = |layers: &[PublishedLayer]| layers.is_empty();
-    if shares(&published.layers) && after.lights.len() > names.len() {
+    if published.layers.is_empty() && after.lights.len() > names.len() {
         names.insert(SHARED_LAYER);
     }
     names.len().min(MAX_LAYERS)

@@ -27,6 +27,7 @@ use crate::jobs::queue::{Full, JobKind};
 use crate::jobs::{JobSpec, new_record};
 use crate::memory::{self, NoRoom};
 use crate::state::App;
+use crate::store::layers::LAYER_BYTES;
 use crate::store::records::SceneRecord;
 use crate::store::scenes::{NewScene, Reservation, SceneEntry};
 use crate::store::versions::FIRST_RESERVE;
@@ -130,7 +131,9 @@ fn create_scene(
         error: None,
         is_damaged: false,
     };
+    let layers = layers::count(&world.scene, &world.scene.groups) * LAYER_BYTES * world.slots();
     let scene = Arc::new(SceneEntry::new(new, world, &app.config.limits));
+    scene.expect_layers(layers as u64);
     // Nobody else sees the scene yet.
     let mut head = scene.head.blocking_lock();
     let bake = match options.bake {

@@ -37,6 +37,8 @@ pub(crate) struct SceneEntry {
     pub(crate) saving: AtomicBool,
     /// Bytes of the world after all accepted edits.
     accepted_bytes: AtomicU64,
+    /// Bytes of the layers that the light of all accepted edits will have, at most.
+    expected_layers: AtomicU64,
     /// The version beyond which idle time brings nothing.
     pub(crate) refined: AtomicU64,
     error: Mutex<Option<String>>,
@@ -87,6 +89,7 @@ impl SceneEntry {
             reserved: AtomicU64::new(new.reserved),
             saving: AtomicBool::new(false),
             accepted_bytes,
+            expected_layers: AtomicU64::new(0),
             refined: AtomicU64::new(u64::MAX),
             error: Mutex::new(new.error),
             is_damaged: new.is_damaged,
@@ -160,6 +163,15 @@ impl SceneEntry {
 
     pub(crate) fn set_accepted_bytes(&self, bytes: u64) {
         self.accepted_bytes.store(bytes, Ordering::Relaxed);
+    }
+
+    /// Bytes of layers that are expected and not there yet.
+    pub(crate) fn layers_to_come(&self, published: &Published) -> u64 {
+        self.expected_layers.load(Ordering::Relaxed).saturating_sub(published.layer_bytes() as u64)
+    }
+
+    pub(crate) fn expect_layers(&self, bytes: u64) {
+        self.expected_layers.store(bytes, Ordering::Relaxed);
     }
 
     /// What clients see with the map behind it, where that is right for all that was accepted.

@@ -280,7 +280,12 @@ impl Published {
     pub(crate) fn memory_bytes(&self) -> usize {
         let vec3 = size_of::<Vec3>();
         let per_slot = 2 * vec3 + size_of::<f32>() + size_of::<u64>() + if self.totals.is_some() { vec3 } else { 0 };
-        self.map.len() * per_slot + self.layers.iter().map(PublishedLayer::memory_bytes).sum::<usize>()
+        self.map.len() * per_slot + self.layer_bytes()
+    }
+
+    /// Bytes of the layers.
+    pub(crate) fn layer_bytes(&self) -> usize {
+        self.layers.iter().map(PublishedLayer::memory_bytes).sum()
     }
 }
 
