@@ -3,6 +3,7 @@
 mod access;
 mod browser;
 mod crash;
+mod dashboard;
 mod deltas;
 mod durable;
 mod edits;
