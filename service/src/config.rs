@@ -27,10 +27,28 @@ pub struct Config {
     pub tokens: Option<Tokens>,
     /// Origins whose pages may call the API from a browser; none by default. `*`: all.
     pub cors_origins: Vec<String>,
+    /// Refine light maps while no job waits; none: their jobs' budgets are all that is spent on them.
+    pub idle_refine: Option<IdleRefine>,
     /// Faults of the data directory, for tests.
     pub faults: Faults,
     /// What computes light: the engine, or a stand-in for tests.
     pub engine: Arc<dyn Engine>,
+}
+
+/// How far light maps are refined while no job waits. It always ends: at the share, or where `samples` more per element
+/// do not halve the stated error.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct IdleRefine {
+    /// Stop where the stated error is this part of the mean light.
+    pub error_share: f64,
+    /// Samples per element of one spell.
+    pub samples: u32,
+}
+
+impl Default for IdleRefine {
+    fn default() -> IdleRefine {
+        IdleRefine { error_share: 0.01, samples: 1024 }
+    }
 }
 
 /// Sizes and counts. One more is refused, never queued without end.
@@ -129,6 +147,7 @@ impl Default for Config {
             data_dir: None,
             tokens: None,
             cors_origins: Vec::new(),
+            idle_refine: None,
             faults: Faults::default(),
             engine: Arc::new(CoreEngine),
         }

@@ -34,6 +34,16 @@ pub trait Engine: Send + Sync + Debug {
 
     /// From the map of `transition.before` to that of `transition.after`.
     fn update(&self, work: &Update<'_>, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled>;
+
+    /// A map that is right for `world`, more accurate.
+    fn refine(
+        &self,
+        world: &World,
+        map: &LightMap,
+        budget: &Budget,
+        seed: u64,
+        observer: &dyn Observer,
+    ) -> Result<Arc<LightMap>, Canceled>;
 }
 
 /// The work of an edit job.
@@ -69,6 +79,17 @@ impl Engine for CoreEngine {
     fn update(&self, work: &Update<'_>, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
         rebake_core::update(work.transition, work.map, work.budget, work.focus, work.seed, observer)
     }
+
+    fn refine(
+        &self,
+        world: &World,
+        map: &LightMap,
+        budget: &Budget,
+        seed: u64,
+        observer: &dyn Observer,
+    ) -> Result<Arc<LightMap>, Canceled> {
+        rebake_core::refine(world, map, budget, seed, observer)
+    }
 }
 
 /// Reads an uploaded file.
@@ -76,6 +97,16 @@ pub(crate) fn load(glb: &[u8], limits: &Limits) -> Result<Scene, LoadError> {
     let limits =
         LoadLimits { max_bytes: limits.upload_bytes, max_triangles: limits.triangles, ..LoadLimits::default() };
     load_glb(glb, &limits)
+}
+
+/// Mean light of a map over the scene's area, mean over RGB.
+pub(crate) fn mean_light(world: &World, map: &LightMap) -> f64 {
+    let (mut sum, mut area) = (0.0, 0.0);
+    for (slot, its_area) in world.areas().iter().enumerate() {
+        sum += f64::from(map.total(slot).element_sum()) / 3.0 * f64::from(*its_area);
+        area += f64::from(*its_area);
+    }
+    if area > 0.0 { sum / area } else { 0.0 }
 }
 
 /// Adds constant radiance from outside; false where the scene has a light of that name.

@@ -2,10 +2,12 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use rebake_core::scene::Object;
 use rebake_core::surface::{DEFAULT_ELEMENTS, default_spacing, object_area};
 
-use crate::engine::Scene;
+use crate::engine::{Edit, Scene};
 use crate::state::App;
+use crate::store::scenes::SceneEntry;
 
 /// Elements per square of one spacing: it is the diagonals that must not exceed the spacing, so there are two to three.
 const ELEMENTS_PER_SQUARE: f64 = 3.0;
@@ -17,10 +19,27 @@ const UNKNOWN_MACHINE: u64 = 8 << 30;
 /// Bytes that a scene will take, from its area and its vertices. Rather too much than too little.
 pub(crate) fn estimate(scene: &Scene, spacing: Option<f32>) -> u64 {
     let area: f64 = scene.objects.iter().map(object_area).sum();
-    let vertices: usize =
-        scene.objects.iter().map(|object| object.mesh.positions.len().max(object.mesh.triangles.len())).sum();
-    let spacing = f64::from(spacing.unwrap_or_else(|| default_spacing(area, DEFAULT_ELEMENTS)));
-    let elements = vertices as f64 + ELEMENTS_PER_SQUARE * area / (spacing * spacing);
+    estimate_bytes(vertices(scene), area, spacing.unwrap_or_else(|| default_spacing(area, DEFAULT_ELEMENTS)))
+}
+
+/// Bytes that what `edits` insert will take, at the size at which it is inserted.
+pub(crate) fn estimate_inserts(edits: &[Edit], spacing: f32) -> u64 {
+    let bytes = |edit: &Edit| {
+        let Edit::Insert { asset, transform, .. } = edit else { return 0 };
+        let placed =
+            |object: &Object| Object { world_from_object: *transform * object.world_from_object, ..object.clone() };
+        let area = asset.objects.iter().map(|object| object_area(&placed(object))).sum();
+        estimate_bytes(vertices(asset), area, spacing)
+    };
+    edits.iter().map(bytes).fold(0, u64::saturating_add)
+}
+
+fn vertices(scene: &Scene) -> usize {
+    scene.objects.iter().map(|object| object.mesh.positions.len().max(object.mesh.triangles.len())).sum()
+}
+
+fn estimate_bytes(vertices: usize, area: f64, spacing: f32) -> u64 {
+    let elements = vertices as f64 + ELEMENTS_PER_SQUARE * area / f64::from(spacing).powi(2);
     // `as` saturates: what is beyond all bounds does not fit.
     (elements * BYTES_PER_ELEMENT) as u64
 }
@@ -52,21 +71,39 @@ impl Drop for Promise<'_> {
     }
 }
 
+/// There is no memory for so much.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct NoRoom {
+    /// What the scene would take.
+    pub(crate) bytes: u64,
+    /// What there is.
+    pub(crate) free: u64,
+    /// What all scenes together may take, where the scene alone is too much for that.
+    pub(crate) limit: Option<u64>,
+}
+
 impl App {
-    /// Bytes that all scenes take.
+    /// Bytes that all scenes take, with the edits that are accepted and not shown yet.
     pub(crate) fn memory_in_use(&self) -> u64 {
-        let of = |scene: &crate::store::scenes::SceneEntry| {
+        let of = |scene: &SceneEntry| {
             let published = scene.published();
-            (published.world.memory_bytes() + published.memory_bytes() + scene.earlier.memory_bytes()) as u64
+            let world = (published.world.memory_bytes() as u64).max(scene.accepted_bytes());
+            world + (published.memory_bytes() + scene.earlier.memory_bytes()) as u64
         };
         self.scenes.all().iter().map(|scene| of(scene)).sum()
     }
 
-    /// Promises `bytes` for a scene; the bytes that are free where that is too much.
-    pub(crate) fn promise_memory(&self, bytes: u64) -> Result<Promise<'_>, u64> {
-        let before = self.promised_memory.fetch_add(bytes, Ordering::Relaxed);
-        let promise = Promise { promised: &self.promised_memory, bytes };
-        let free = self.config.limits.memory_bytes.saturating_sub(self.memory_in_use() + before);
-        if bytes > free { Err(free) } else { Ok(promise) }
+    /// Promises `more` bytes for a scene that takes `present` already.
+    pub(crate) fn promise_memory(&self, more: u64, present: u64) -> Result<Promise<'_>, NoRoom> {
+        let limit = self.config.limits.memory_bytes;
+        let bytes = present.saturating_add(more);
+        if more > 0 && bytes > limit {
+            return Err(NoRoom { bytes, free: limit.saturating_sub(self.memory_in_use()), limit: Some(limit) });
+        }
+        let before = self.promised_memory.fetch_add(more, Ordering::Relaxed);
+        let promise = Promise { promised: &self.promised_memory, bytes: more };
+        let free = limit.saturating_sub(self.memory_in_use() + before);
+        // What takes nothing more always fits.
+        if more > free { Err(NoRoom { bytes, free, limit: None }) } else { Ok(promise) }
     }
 }

@@ -10,8 +10,10 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 use prometheus_client::registry::{Registry, Unit};
 
+use crate::engine::Pass;
 use crate::jobs::queue::{JobKind, JobState};
 use crate::state::App;
+use crate::store::versions::Published;
 
 /// Answers by route: few, since a route is a pattern and not a path.
 #[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
@@ -37,6 +39,11 @@ struct OfScene {
     scene: String,
 }
 
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct OfPhase {
+    phase: &'static str,
+}
+
 /// All metrics of the service.
 pub(crate) struct Metrics {
     requests: Family<Route, Counter>,
@@ -45,8 +52,12 @@ pub(crate) struct Metrics {
     job_seconds: Histogram,
     wait_seconds: Histogram,
     rays: Counter,
-    /// Versions published.
-    pub(crate) versions: Counter,
+    phase_seconds: Family<OfPhase, Counter<f64, AtomicU64>>,
+    phase_rays: Family<OfPhase, Counter>,
+    elements_changed: Counter,
+    /// Versions published while no job waited.
+    pub(crate) idle_versions: Counter,
+    versions: Counter,
     /// Bytes of delta frames, before compression.
     pub(crate) delta_bytes: Counter,
     /// Changes that could not be kept.
@@ -63,6 +74,10 @@ impl Default for Metrics {
             job_seconds: seconds(0.01),
             wait_seconds: seconds(0.01),
             rays: Counter::default(),
+            phase_seconds: Family::default(),
+            phase_rays: Family::default(),
+            elements_changed: Counter::default(),
+            idle_versions: Counter::default(),
             versions: Counter::default(),
             delta_bytes: Counter::default(),
             unsaved: Counter::default(),
@@ -76,7 +91,6 @@ pub(crate) struct JobEnd {
     pub(crate) state: JobState,
     pub(crate) wait_seconds: f64,
     pub(crate) seconds: f64,
-    pub(crate) rays: u64,
 }
 
 impl Metrics {
@@ -95,7 +109,21 @@ impl Metrics {
         self.jobs_ended.get_or_create(&label).inc();
         self.job_seconds.observe(end.seconds);
         self.wait_seconds.observe(end.wait_seconds);
-        self.rays.inc_by(end.rays);
+    }
+
+    /// Counts a part of the engine's work.
+    pub(crate) fn phase(&self, pass: Pass, seconds: f64, rays: u64) {
+        let label = OfPhase { phase: pass.as_str() };
+        self.phase_seconds.get_or_create(&label).inc_by(seconds);
+        self.phase_rays.get_or_create(&label).inc_by(rays);
+        self.rays.inc_by(rays);
+    }
+
+    /// Counts a version.
+    pub(crate) fn published(&self, published: &Published) {
+        self.versions.inc();
+        let changed = published.changed.iter().filter(|version| **version == published.version).count();
+        self.elements_changed.inc_by(changed as u64);
     }
 
     fn register(&self, registry: &mut Registry) {
@@ -105,7 +133,13 @@ impl Metrics {
         registry.register("jobs_ended", "Jobs by how they ended", self.jobs_ended.clone());
         registry.register_with_unit("job_duration", "Start to end of jobs", Unit::Seconds, self.job_seconds.clone());
         registry.register_with_unit("job_wait", "Arrival to start of jobs", Unit::Seconds, self.wait_seconds.clone());
-        registry.register("rays", "Rays of jobs that ended", self.rays.clone());
+        registry.register("rays", "Rays traced", self.rays.clone());
+        let help = "Time in each phase of bakes and updates";
+        registry.register_with_unit("phase", help, Unit::Seconds, self.phase_seconds.clone());
+        registry.register("phase_rays", "Rays traced in each phase of bakes and updates", self.phase_rays.clone());
+        let help = "Elements whose value a new version changed";
+        registry.register("elements_changed", help, self.elements_changed.clone());
+        registry.register("idle_versions", "Light maps published while no job waited", self.idle_versions.clone());
         registry.register("versions", "Light maps published", self.versions.clone());
         let help = "Delta frames sent, before compression";
         registry.register_with_unit("delta", help, Unit::Bytes, self.delta_bytes.clone());
@@ -155,6 +189,8 @@ impl App {
         registry.register("scene_estimated_rmse", "Stated error of each light map", error);
         let streams = self.config.limits.streams - self.streams.available_permits();
         gauge(registry, "streams", "Open event and delta streams", streams as u64);
+        let refining = u64::from(self.jobs.is_refining());
+        gauge(registry, "refining", "Light maps that are refined because no job waits", refining);
         gauge(registry, "scenes", "Scenes", scenes.len() as u64);
         gauge(
             registry,

@@ -112,6 +112,39 @@ async fn a_scene_that_would_not_fit_is_refused_before_it_is_built() {
 }
 
 #[tokio::test]
+async fn an_insert_that_would_not_fit_is_refused_before_it_is_built() {
+    let server = Server::with(|config| config.limits.memory_bytes = 1 << 20).await;
+    let asset = server.crate_asset().await;
+    let scene = server.room("?bake=false").await;
+    let path = format!("{}/edits", path_of(&scene));
+    let insert = |name: String, size: f64| {
+        let transform = [size, 0.0, 0.0, 0.0, 0.0, size, 0.0, 0.0, 0.0, 0.0, size, 0.0, 1.0, 0.01, 1.0, 1.0];
+        json!({ "op": "insert", "asset": asset, "name": name, "transform": transform })
+    };
+    let told = server.post_json(&path, &insert("hall".to_owned(), 500.0)).await.problem(413, "scene-too-large");
+    assert!(told.contains("the edited scene would take about"), "{told}");
+    let mut refused = None;
+    for n in 0..200 {
+        let answer = server.post_json(&path, &insert(format!("crate {n}"), 4.0)).await;
+        if answer.status != 202 {
+            refused = Some(answer);
+            break;
+        }
+        server.end_of(answer.json(202)["id"].as_str().unwrap()).await;
+    }
+    let refused = refused.expect("there is an end to it");
+    assert!(
+        ["/problems/no-memory", "/problems/scene-too-large"]
+            .iter()
+            .any(|kind| refused.json(refused.status.as_u16())["type"] == *kind),
+        "{refused:?}"
+    );
+    // What takes nothing more is accepted all the same.
+    server.edit(&scene, &json!({ "op": "remove", "objects": ["cupboard"] })).await;
+    server.stop().await;
+}
+
+#[tokio::test]
 async fn a_client_that_takes_nothing_in_is_let_go() {
     let (server, script) = Server::scripted_with(|config| {
         config.timeouts.write = Duration::from_millis(200);
@@ -167,5 +200,13 @@ async fn metrics_tell_what_happens() {
     }
     let rays = text.lines().find_map(|line| line.strip_prefix("rebake_rays_total ")).unwrap();
     assert!(rays.parse::<u64>().unwrap() > 1000);
+    // Every ray belongs to a phase; in the first version all elements are new.
+    let sum = |name: &str| -> f64 {
+        let values = text.lines().filter_map(|line| line.strip_prefix(name)?.split_once(' '));
+        values.map(|(_, value)| value.parse::<f64>().unwrap()).sum()
+    };
+    assert_eq!(sum("rebake_phase_rays_total{"), rays.parse::<f64>().unwrap());
+    assert!(sum("rebake_phase_seconds_total{") > 0.0 && sum("rebake_elements_changed_total") > 10.0);
+    assert_eq!(sum("rebake_job_wait_seconds_count"), 1.0);
     server.stop().await;
 }

@@ -22,18 +22,25 @@ pub(crate) enum Step {
 /// The engine's side.
 #[derive(Debug)]
 pub(crate) struct Scripted {
-    steps: Mutex<Receiver<Step>>,
+    steps: Mutex<Steps>,
+    /// While no job waits.
+    idle_steps: Mutex<Steps>,
 }
 
 /// The test's side.
 #[derive(Debug)]
-pub(crate) struct Script(Sender<Step>);
+pub(crate) struct Script {
+    steps: Sender<Step>,
+    idle_steps: Sender<Step>,
+}
 
 impl Scripted {
     /// An engine and its script.
     pub(crate) fn new() -> (Arc<Scripted>, Script) {
-        let (send, receive) = channel();
-        (Arc::new(Scripted { steps: Mutex::new(receive) }), Script(send))
+        let ((steps, taken), (idle_steps, idle_taken)) = (channel(), channel());
+        let steps_of = |receiver| Mutex::new(Steps { receiver, left: None });
+        let engine = Scripted { steps: steps_of(taken), idle_steps: steps_of(idle_taken) };
+        (Arc::new(engine), Script { steps, idle_steps })
     }
 
     fn work(
@@ -54,7 +61,7 @@ impl Scripted {
         };
         observer.progress(&progress);
         loop {
-            match self.next_step(observer)? {
+            match next_step(&self.steps, observer)? {
                 Step::Finish => return Ok(map),
                 Step::Panic => panic!("scripted panic"),
                 Step::Round => {}
@@ -69,18 +76,32 @@ impl Scripted {
             observer.snapshot(&map, &progress);
         }
     }
+}
 
-    fn next_step(&self, observer: &dyn Observer) -> Result<Step, Canceled> {
-        loop {
-            if observer.canceled() {
-                return Err(Canceled);
-            }
-            match self.steps.lock().unwrap().recv_timeout(Duration::from_millis(5)) {
-                Ok(step) => return Ok(step),
-                Err(RecvTimeoutError::Timeout) => {}
-                // The test is over.
-                Err(RecvTimeoutError::Disconnected) => return Ok(Step::Finish),
-            }
+/// Steps that a test has sent.
+#[derive(Debug)]
+struct Steps {
+    receiver: Receiver<Step>,
+    /// Came just when the work was canceled: the next one's.
+    left: Option<Step>,
+}
+
+fn next_step(steps: &Mutex<Steps>, observer: &dyn Observer) -> Result<Step, Canceled> {
+    loop {
+        let mut steps = steps.lock().unwrap();
+        let next = match steps.left.take() {
+            Some(step) => Ok(step),
+            None => steps.receiver.recv_timeout(Duration::from_millis(5)),
+        };
+        if observer.canceled() {
+            steps.left = next.ok();
+            return Err(Canceled);
+        }
+        match next {
+            Ok(step) => return Ok(step),
+            Err(RecvTimeoutError::Timeout) => {}
+            // The test is over.
+            Err(RecvTimeoutError::Disconnected) => return Ok(Step::Finish),
         }
     }
 }
@@ -93,6 +114,9 @@ fn values(world: &World, old: &LightMap, seed: u64, samples: u32) -> LightMap {
         if *area > 0.0 && hash.is_multiple_of(2) {
             map.direct[slot] = Vec3::splat(hash as f32 / 1e6);
             map.indirect[slot] = Vec3::new(hash as f32 / 2e6, 0.0, -0.0);
+        }
+        if *area > 0.0 {
+            map.variance[slot] = (samples as f32).powi(-2);
         }
     }
     map
@@ -113,6 +137,42 @@ impl Engine for Scripted {
         let carried = work.transition.carry_over(work.map);
         self.work(&work.transition.after, &carried, work.seed, observer)
     }
+
+    /// Every round halves the stated error.
+    fn refine(
+        &self,
+        world: &World,
+        map: &LightMap,
+        _budget: &Budget,
+        seed: u64,
+        observer: &dyn Observer,
+    ) -> Result<Arc<LightMap>, Canceled> {
+        let mut map = Arc::new(map.clone());
+        let mut progress = Progress {
+            pass: Pass::Direct,
+            samples_per_element: 0,
+            round_samples: 4,
+            round_fraction: 0.0,
+            rays: 0,
+            estimated_rmse: None,
+        };
+        loop {
+            match next_step(&self.idle_steps, observer)? {
+                Step::Finish => return Ok(map),
+                Step::Panic => panic!("scripted panic"),
+                Step::Round => {}
+            }
+            if observer.plan_round(&progress, 4) == 0 {
+                return Ok(map);
+            }
+            progress.samples_per_element += 4;
+            let mut better = values(world, &map, seed, progress.samples_per_element);
+            better.variance = map.variance.iter().map(|variance| variance / 4.0).collect();
+            map = Arc::new(better);
+            progress.estimated_rmse = Some(map.estimated_rmse(world.areas()));
+            observer.snapshot(&map, &progress);
+        }
+    }
 }
 
 impl Script {
@@ -120,7 +180,14 @@ impl Script {
     pub(crate) fn run(&self, steps: &[Step]) {
         for step in steps {
             // A server that has ended needs no more steps.
-            let _ = self.0.send(*step);
+            let _ = self.steps.send(*step);
+        }
+    }
+
+    /// Lets refining take these steps, while no job waits.
+    pub(crate) fn refine(&self, steps: &[Step]) {
+        for step in steps {
+            let _ = self.idle_steps.send(*step);
         }
     }
 }

@@ -133,6 +133,20 @@ async fn a_running_job_stops_and_the_map_stays_consistent() {
 }
 
 #[tokio::test]
+async fn an_urgent_upload_goes_before_others() {
+    let (server, script) = Server::scripted_with(|config| config.job_slots = 1).await;
+    let first = server.room("").await;
+    server.until(first["current_job"].as_str().unwrap(), |job| job["state"] == "running").await;
+    let (usual, urgent) = (server.room("").await, server.room("?priority=high").await);
+    let (usual, urgent) = (usual["current_job"].as_str().unwrap(), urgent["current_job"].as_str().unwrap());
+    script.run(&[Step::Round, Step::Finish]);
+    assert_eq!(server.until(urgent, |job| job["state"] == "running").await["priority"], "high");
+    assert_eq!(server.get(&format!("/v1/jobs/{usual}")).await.json(200)["state"], "queued");
+    server.post_glb("/v1/scenes?priority=now", super::glb::room().bytes()).await.problem(400, "invalid-query");
+    server.stop().await;
+}
+
+#[tokio::test]
 async fn a_panicking_job_fails_and_the_service_lives_on() {
     let (server, script) = Server::scripted().await;
     let scene = server.room("").await;

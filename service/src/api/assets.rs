@@ -8,7 +8,7 @@ use axum::http::{HeaderMap, StatusCode};
 use super::extract::{read_body, require_content_type};
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::Asset;
-use super::{Shared, require_serving, scenes};
+use super::{Shared, require_serving, uploads};
 use crate::engine;
 use crate::store::assets::{Assets, NoRoom};
 
@@ -20,13 +20,13 @@ use crate::store::assets::{Assets, NoRoom};
 )]
 pub(super) async fn create(State(app): Shared, headers: HeaderMap, body: Body) -> ApiResult<(StatusCode, Json<Asset>)> {
     require_serving(&app)?;
-    require_content_type(&headers, scenes::GLB_TYPES)?;
-    let permit = scenes::upload_permit(&app).await?;
+    require_content_type(&headers, uploads::GLB_TYPES)?;
+    let permit = uploads::upload_permit(&app).await?;
     let glb = read_body(&app, &headers, body, app.config.limits.upload_bytes).await?;
     let its_app = app.clone();
     let add = move || {
         let _permit = permit;
-        let scene = engine::load(&glb, &its_app.config.limits).map_err(scenes::load_problem)?;
+        let scene = engine::load(&glb, &its_app.config.limits).map_err(uploads::load_problem)?;
         let id = Assets::id_of(&glb);
         let triangles = scene.objects.iter().map(|object| object.mesh.triangles.len() as u64).sum();
         let asset = Asset { asset: id.clone(), triangles, warnings: scene.warnings.clone() };

@@ -12,13 +12,16 @@ use super::edit_parse::{Parsed, parse, to_budget, to_edits, to_focus};
 use super::edit_types::EditRequest;
 use super::extract::{ApiPath, ETags, read_body, require_content_type, text_header};
 use super::problem::{ApiResult, Kind, Problem};
-use super::scenes::{full_problem, next_seed};
 use super::types::{Job, to_event_data};
+use super::uploads::{full_problem, memory_problem, next_seed};
 use super::{Shared, find_scene, require_serving};
-use crate::engine::{Edit, EditError, EditErrorKind};
+use crate::config::Config;
+use crate::engine::{Edit, EditError, EditErrorKind, Scene, World};
 use crate::jobs::queue::JobKind;
 use crate::jobs::{JobSpec, new_record};
+use crate::memory;
 use crate::state::App;
+use crate::store::assets::{Assets, NoRoom};
 use crate::store::lighting::Unlit;
 use crate::store::records::{Accepted, EditRecord, KeyRecord};
 use crate::store::scenes::{Head, SceneEntry};
@@ -105,7 +108,7 @@ fn read_request(app: &App, head: &Head, body: &[u8]) -> ApiResult<Request> {
     let edits = to_edits(&parsed, &app.assets, limits.name_chars)?;
     let budget = to_budget(parsed.budget, "budget", app.config.defaults.edit_samples, &app.config)?;
     let focus = parsed.focus.as_ref().map(|focus| to_focus(focus, &head.world)).transpose()?;
-    let priority = parsed.priority.into();
+    let priority = parsed.priority;
     let spec = JobSpec { kind: JobKind::Edit, priority, budget, focus, seed: 0, sequence: head.sequence };
     Ok(Request { parsed, edits, spec })
 }
@@ -127,6 +130,8 @@ fn accept(
         let text = "too many edits of this scene are not lit yet";
         return Err(Problem::new(Kind::QueueFull, text).retry_after(1));
     }
+    let room = app.promise_memory(memory::estimate_inserts(&edits, head.world.spacing()), scene.accepted_bytes());
+    let _promise = room.map_err(|full| memory_problem("edited scene", full))?;
     let transition = match edits.is_empty() {
         true => None,
         false => Some(head.world.apply(&edits).map_err(|error| edit_problem(error, parsed.is_list))?),
@@ -146,6 +151,7 @@ fn accept(
     let unlit = transition.map(|transition| {
         head.world = transition.after.clone();
         head.sequence = spec.sequence;
+        scene.set_accepted_bytes(head.world.memory_bytes() as u64);
         Unlit { sequence: spec.sequence, transition: Arc::new(transition), edits: edits.into() }
     });
     head.jobs = jobs;
@@ -168,6 +174,27 @@ fn edit_problem(error: EditError, is_list: bool) -> Problem {
         EditErrorKind::TooLarge => Kind::EditTooLarge,
     };
     Problem::field(kind, field, error.reason)
+}
+
+/// Reads the body of an edit request against `world` as the service does, without one: for fuzzing.
+///
+/// # Errors
+/// What is wrong with it, for people.
+pub fn read_edits(
+    body: &[u8],
+    assets: impl IntoIterator<Item = (String, Scene)>,
+    world: &World,
+) -> Result<Vec<Edit>, String> {
+    let told = |problem: Problem| problem.to_string();
+    let held = Assets::new(usize::MAX, usize::MAX);
+    for (id, scene) in assets {
+        held.insert(id, scene, 0).map_err(|NoRoom| "too many assets".to_owned())?;
+    }
+    let config = Config::default();
+    let parsed = parse(body, config.limits.edits_per_request).map_err(told)?;
+    to_budget(parsed.budget, "budget", config.defaults.edit_samples, &config).map_err(told)?;
+    parsed.focus.as_ref().map(|focus| to_focus(focus, world)).transpose().map_err(told)?;
+    to_edits(&parsed, &held, config.limits.name_chars).map_err(told)
 }
 
 fn idempotency_key(headers: &HeaderMap) -> ApiResult<Option<String>> {

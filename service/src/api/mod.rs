@@ -21,6 +21,7 @@ mod render;
 mod scenes;
 mod trace;
 pub mod types;
+mod uploads;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -36,8 +37,9 @@ pub(crate) use coding::encode_body;
 pub(crate) use extract::{Coding, ETags};
 use tower_http::cors::{AllowOrigin, Any, CorsLayer};
 
+pub use edits::read_edits;
 pub use openapi::document;
-pub(crate) use scenes::next_seed;
+pub(crate) use uploads::next_seed;
 
 use crate::state::App;
 use crate::store::scenes::SceneEntry;
@@ -49,7 +51,7 @@ type Shared = State<Arc<App>>;
 /// All routes.
 pub(crate) fn router(app: Arc<App>) -> Router {
     Router::new()
-        .route("/v1/scenes", post(scenes::create).get(scenes::list))
+        .route("/v1/scenes", post(uploads::create).get(scenes::list))
         .route("/v1/scenes/{scene}", get(scenes::get).delete(scenes::delete))
         .route("/v1/scenes/{scene}/edits", post(edits::create))
         .route("/v1/scenes/{scene}/events", get(events::of_scene))

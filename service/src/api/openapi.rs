@@ -8,7 +8,9 @@ use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement
 use utoipa::openapi::{Ref, RefOr};
 
 use super::problem::{self, Kind, ProblemDocument};
-use super::{assets, deltas, edit_types, edits, elements, events, health, jobs, lightmap, render, scenes, types};
+use super::{
+    assets, deltas, edit_types, edits, elements, events, health, jobs, lightmap, render, scenes, types, uploads,
+};
 
 #[derive(OpenApi)]
 #[openapi(
@@ -18,7 +20,7 @@ use super::{assets, deltas, edit_types, edits, elements, events, health, jobs, l
         license(name = "MIT OR Apache-2.0")
     ),
     paths(
-        scenes::create, scenes::list, scenes::get, scenes::delete, assets::create, edits::create,
+        uploads::create, scenes::list, scenes::get, scenes::delete, assets::create, edits::create,
         jobs::list, jobs::get, jobs::cancel, jobs::pause, jobs::resume, events::of_job, events::of_scene,
         lightmap::get, deltas::get, elements::get, render::get, health::alive, health::ready, health::metrics, health::problem, get
     ),
@@ -99,8 +101,10 @@ fn problems_of(operation: &str) -> &'static [Kind] {
             SceneDamaged,
             Timeout,
             NameTaken,
+            NoMemory,
             PreconditionFailed,
             PayloadTooLarge,
+            SceneTooLarge,
             UnsupportedMediaType,
             InvalidValue,
             UnknownObject,

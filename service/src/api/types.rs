@@ -285,13 +285,13 @@ pub struct JobPage {
 pub struct SnapshotEvent {
     /// The scene's id.
     pub scene: String,
-    /// The job that published it.
+    /// The job that published it; none where no job waited and the map was refined in idle time.
     pub job: Option<String>,
     /// The new version.
     pub version: u64,
     /// Version at which elements, objects or lights last changed.
     pub elements_version: u64,
-    /// Of the job's rounds so far; absent where old light was carried over to new geometry.
+    /// Of the rounds so far, of the job or of this spell of idle time; absent where old light was carried over to new geometry.
     pub samples_per_element: Option<u32>,
     /// Stated error of this version.
     pub estimated_rmse: Option<f32>,

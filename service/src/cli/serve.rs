@@ -7,6 +7,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use rebake::auth::Tokens;
+use rebake::config::IdleRefine;
 use tokio::net::TcpListener;
 use tracing_subscriber::EnvFilter;
 
@@ -43,6 +44,11 @@ pub(super) struct ServeArgs {
     /// Memory that scenes may take together, in GiB [default: three quarters of the machine's]
     #[arg(long, value_name = "GIB", env = "REBAKE_MEMORY", value_parser = super::values::positive)]
     memory: Option<f64>,
+    /// Refine light maps while no job waits, until their stated error is SHARE of their mean light. Every refined map is
+    /// a new version: edits with `If-Match` may have to be repeated
+    #[arg(long, value_name = "SHARE", env = "REBAKE_IDLE_REFINE", num_args = 0..=1, require_equals = true,
+        default_missing_value = "0.01", value_parser = super::values::positive)]
+    idle_refine: Option<f64>,
 }
 
 /// Runs the service until it is told to stop.
@@ -60,6 +66,7 @@ pub(super) async fn serve(args: ServeArgs) -> anyhow::Result<()> {
     ui::out(&format!("listening on http://{address}"))?;
     let mut config =
         rebake::Config { data_dir: args.data_dir, tokens, cors_origins: args.cors_origin, ..config(args.threads) };
+    config.idle_refine = args.idle_refine.map(|error_share| IdleRefine { error_share, ..IdleRefine::default() });
     if let Some(gib) = args.memory {
         config.limits.memory_bytes = (gib * f64::from(1u32 << 30)) as u64;
     }

@@ -94,6 +94,7 @@ impl App {
     pub(crate) fn close_jobs(&self) {
         let mut state = self.jobs.lock();
         state.closed = true;
+        state.idle.iter().for_each(|refining| refining.interrupt());
         let open: Vec<JobNumber> =
             state.queue.iter().filter(|job| !job.state.has_ended()).map(|job| job.number).collect();
         for number in open {
@@ -214,7 +215,7 @@ impl App {
             samples_per_element: progress.map(|progress| progress.samples_per_element),
             estimated_rmse: published.estimated_rmse.and_then(types::finite),
         };
-        self.metrics.versions.inc();
+        self.metrics.published(published);
         let data = types::to_event_data(&event);
         if let Some(log) = job.and_then(|number| self.jobs.events(number)) {
             log.push("snapshot", data.clone());
@@ -298,6 +299,7 @@ impl App {
                 state.pools.push(pool);
                 break;
             }
+            state.idle.iter().for_each(|refining| refining.interrupt());
             state.tell(self, number);
             let budgets: Vec<JobBudget> =
                 batch.iter().filter_map(|job| Some(state.handles.get(job)?.spec.budget)).collect();
@@ -313,7 +315,8 @@ impl App {
             let run = worker::Run { job: number, scene, stop: handle.stop.clone(), spec };
             worker::spawn(self.clone(), run, &pool);
         }
-        self.jobs.running.send_replace(state.queue.running());
+        self.refine_if_idle(state);
+        self.jobs.running.send_replace(state.running());
     }
 }
 
@@ -354,6 +357,5 @@ fn count_end(metrics: &Metrics, job: &Job) {
         state: job.state,
         wait_seconds: started_at.duration_since(job.created_at).as_secs_f64(),
         seconds: finished_at.duration_since(started_at).as_secs_f64(),
-        rays: job.progress.rays,
     });
 }

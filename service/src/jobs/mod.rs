@@ -1,10 +1,12 @@
 //! Jobs: [`queue`] is their state, [`scheduler`] decides, `worker` runs, `observer` speaks for the service while
-//! the engine computes, `lifecycle` is how jobs come, change and go.
+//! the engine computes, `lifecycle` is how jobs come, change and go, `idle` what happens while there are none.
 
+mod idle;
 pub mod job;
 mod lifecycle;
 pub(crate) mod merge;
 pub(crate) mod observer;
+mod phases;
 pub mod queue;
 pub mod scheduler;
 pub(crate) mod worker;
@@ -75,6 +77,8 @@ impl Stop {
 pub(crate) struct Jobs {
     state: Mutex<State>,
     slots: usize,
+    /// Where light maps are refined while no job waits: a job that comes finds its own threads free.
+    idle_pool: Option<ThreadPool>,
     running: watch::Sender<usize>,
 }
 
@@ -83,6 +87,8 @@ struct State {
     handles: HashMap<JobNumber, Handle>,
     /// Pools of the free slots.
     pools: Vec<Arc<ThreadPool>>,
+    /// Light maps are being refined; asks that to stop.
+    idle: Option<Arc<Stop>>,
     /// No job starts any more.
     closed: bool,
     /// Jobs that ended last; their events are kept whole, for streams that are behind.
@@ -115,8 +121,10 @@ impl Jobs {
             queued: limits.queued,
             finished: limits.finished_jobs,
         });
-        let state = State { queue, handles: HashMap::new(), pools, closed: false, just_ended: VecDeque::new() };
-        Ok(Jobs { state: Mutex::new(state), slots, running: watch::Sender::new(0) })
+        let idle_pool = config.idle_refine.map(|_| build_pool("idle", config.threads)).transpose()?;
+        let state =
+            State { queue, handles: HashMap::new(), pools, idle: None, closed: false, just_ended: VecDeque::new() };
+        Ok(Jobs { state: Mutex::new(state), slots, idle_pool, running: watch::Sender::new(0) })
     }
 
     /// Looks at the queue.
@@ -151,7 +159,12 @@ impl Jobs {
         self.lock().handles.get(&number).map(|handle| handle.events.clone())
     }
 
-    /// Number of running jobs, as it changes.
+    /// Whether light maps are being refined while no job waits.
+    pub(crate) fn is_refining(&self) -> bool {
+        self.lock().idle.is_some()
+    }
+
+    /// Number of running jobs, as it changes; refining counts as one.
     pub(crate) fn watch_running(&self) -> watch::Receiver<usize> {
         self.running.subscribe()
     }
@@ -162,6 +175,11 @@ impl Jobs {
 }
 
 impl State {
+    /// Jobs that run, and refining while there are none.
+    fn running(&self) -> usize {
+        self.queue.running() + usize::from(self.idle.is_some())
+    }
+
     /// Tells everybody of a job's state. Under the queue's lock, so that events come in the order of the changes.
     fn tell(&self, app: &App, number: JobNumber) {
         let (Some(job), Some(handle)) = (self.queue.get(number), self.handles.get(&number)) else { return };

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 
 use super::Stop;
+use super::phases::PhaseClock;
 use super::queue::{JobNumber, JobProgress};
 use crate::engine::{LightMap, Observer, Progress, lengthened};
 use crate::state::App;
@@ -128,6 +129,7 @@ struct State {
     floor: Option<f32>,
     /// The last map was not published, because there is a better one.
     held_back: Option<Progress>,
+    clock: PhaseClock,
     saved: Option<Instant>,
 }
 
@@ -167,6 +169,7 @@ impl<'a> JobObserver<'a> {
     /// The last complete map since [`JobObserver::begin`], and its progress where it was held back.
     pub(crate) fn take_latest(&self) -> (Option<Arc<LightMap>>, Option<Progress>) {
         let mut state = self.lock();
+        state.clock.stop(&self.app.metrics);
         (state.latest.take(), state.held_back.take())
     }
 
@@ -215,6 +218,7 @@ impl Observer for JobObserver<'_> {
     fn progress(&self, progress: &Progress) {
         let version = {
             let mut state = self.lock();
+            state.clock.tick(&self.app.metrics, progress);
             let pass = progress.pass.as_str();
             let is_news = state
                 .reported

@@ -1,4 +1,4 @@
-//! Which job comes next: pure decisions on the state of the queue.
+//! Which job comes next, and what idle time is for: pure decisions on the state of the queue.
 
 use std::cmp::Reverse;
 use std::collections::HashMap;
@@ -39,4 +39,40 @@ pub fn tick(queue: &Queue, slots: usize) -> Decision {
             (Reverse(*priority as u64 + waited / AGEING_TURNS), last_turn, job.number)
         })
         .map_or(Decision::Wait, |(job, _)| Decision::Start(job.number))
+}
+
+/// Whether nothing runs and nothing could.
+pub fn is_idle(queue: &Queue) -> bool {
+    queue.running() == 0 && !queue.iter().any(Job::is_in_line)
+}
+
+/// A scene on which idle time can be spent: its light is up to date.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settled {
+    /// Which one.
+    pub scene: SceneNumber,
+    /// Stated error of its light map.
+    pub stated: f64,
+    /// Mean light of its light map.
+    pub mean: f64,
+}
+
+/// A scene to be refined, and to which stated error.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spell {
+    /// Which one.
+    pub scene: SceneNumber,
+    /// Where to stop and decide again.
+    pub target: f64,
+}
+
+/// What idle time is spent on: the scene whose stated error is the largest part of its mean light, until that has halved or
+/// is down to `goal`. None where all scenes are that good. A map without light or without a stated error stays as it is.
+pub fn idle(scenes: &[Settled], goal: f64) -> Option<Spell> {
+    let share = |scene: &Settled| scene.stated / scene.mean;
+    let worst = scenes
+        .iter()
+        .filter(|scene| scene.stated > 0.0 && scene.mean > 0.0 && share(scene).is_finite() && share(scene) > goal)
+        .max_by(|a, b| share(a).total_cmp(&share(b)).then(b.scene.cmp(&a.scene)))?;
+    Some(Spell { scene: worst.scene, target: (0.5 * worst.stated).max(goal * worst.mean) })
 }

@@ -5,7 +5,7 @@ use jiff::Timestamp;
 use super::queue::{
     Change, Full, Job, JobKind, JobNumber, JobProgress, JobState, Outcome, Priority, Queue, QueueLimits, SceneNumber,
 };
-use super::scheduler::{Decision, tick};
+use super::scheduler::{Decision, Settled, Spell, idle, is_idle, tick};
 
 const NOW: Timestamp = Timestamp::UNIX_EPOCH;
 
@@ -260,4 +260,51 @@ fn jobs_of_an_earlier_life_wait_again() {
     );
     assert_eq!(queue.promise(1), Ok(7));
     assert_eq!(queue.waiting(), 4);
+}
+
+#[test]
+fn only_what_runs_or_could_run_keeps_the_service_busy() {
+    let mut queue = queue(10, 10, 10);
+    assert!(is_idle(&queue));
+    let (first, second) = (edit(&mut queue, 1), edit(&mut queue, 2));
+    assert!(!is_idle(&queue), "both wait");
+    queue.pause(second);
+    assert_eq!(start_all(&mut queue, 1), [first]);
+    assert!(!is_idle(&queue), "one runs");
+    finish(&mut queue, first, &Outcome::Succeeded);
+    assert!(is_idle(&queue), "a paused one does not count");
+    queue.resume(second);
+    assert!(!is_idle(&queue));
+}
+
+#[test]
+fn idle_time_goes_to_the_worst_scene_until_all_are_good_enough() {
+    let scene = |scene, stated, mean| Settled { scene, stated, mean };
+    let spell = |scene, target| Some(Spell { scene, target });
+    // The error counts as a part of the light: a dark scene needs a smaller one.
+    let scenes = [scene(1, 0.08, 2.0), scene(2, 0.05, 0.5), scene(3, 0.01, 0.5)];
+    assert_eq!(idle(&scenes, 0.01), spell(2, 0.025));
+    assert_eq!(idle(&scenes, 0.08), spell(2, 0.04), "no further than asked for");
+    assert_eq!(idle(&scenes, 0.1), None);
+    assert_eq!(idle(&[], 0.1), None);
+    assert_eq!(idle(&[scene(2, 0.1, 1.0), scene(1, 0.1, 1.0)], 0.01), spell(1, 0.05), "among equals the oldest");
+    // What states no error, is black, or makes no sense is left alone.
+    for odd in [(0.0, 1.0), (0.1, 0.0), (f64::NAN, 1.0), (0.1, f64::NAN), (f64::INFINITY, 1.0), (0.1, -1.0)] {
+        assert_eq!(idle(&[scene(1, odd.0, odd.1)], 0.01), None, "{odd:?}");
+    }
+}
+
+#[test]
+fn a_round_of_spells_ends() {
+    // Each spell brings a scene to its target: how many until all are good enough?
+    let mut scenes =
+        [(1, 1.0, 1.0), (2, 0.3, 2.0), (3, 5.0, 0.7)].map(|(scene, stated, mean)| Settled { scene, stated, mean });
+    let mut spells = 0;
+    while let Some(spell) = idle(&scenes, 0.01) {
+        let worst = scenes.iter_mut().find(|scene| scene.scene == spell.scene).unwrap();
+        assert!(spell.target < worst.stated);
+        worst.stated = spell.target;
+        spells += 1;
+    }
+    assert_eq!(spells, 7 + 4 + 10);
 }

@@ -160,6 +160,21 @@ impl Lighting {
         published.next(None, map, lit.estimated_rmse)
     }
 
+    /// The map, where it is right for all that was accepted and clients see all of that.
+    pub(crate) fn settled(&self, published: &Published) -> Option<Arc<LightMap>> {
+        let is_settled = self.unlit.is_empty() && self.lit_sequence == self.shown_sequence;
+        self.lit.clone().filter(|map| is_settled && map.len() == published.world.slots())
+    }
+
+    /// The next version, with a more accurate map in place of `of`. `None` where anything came in between, and whatever
+    /// did counts: a job that started from `of` goes on with it.
+    pub(crate) fn refine(&mut self, published: &Published, of: &Arc<LightMap>, lit: Lit<'_>) -> Option<Published> {
+        self.settled(published).filter(|map| Arc::ptr_eq(map, of))?;
+        self.lit = Some(lit.map.clone());
+        self.right_for = Some(self.shown_sequence);
+        Some(published.next(None, lit.map.clone(), lit.estimated_rmse))
+    }
+
     /// `map` is right for `sequence`.
     pub(crate) fn set_lit(&mut self, sequence: Sequence, map: Arc<LightMap>) {
         self.lit = Some(map);

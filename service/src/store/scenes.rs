@@ -1,7 +1,7 @@
 //! Scenes in memory.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
-use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 
 use jiff::Timestamp;
@@ -35,6 +35,10 @@ pub(crate) struct SceneEntry {
     pub(crate) reserved: AtomicU64,
     /// A save is under way: another would only repeat it.
     pub(crate) saving: AtomicBool,
+    /// Bytes of the world after all accepted edits.
+    accepted_bytes: AtomicU64,
+    /// The version beyond which idle time brings nothing.
+    pub(crate) refined: AtomicU64,
     error: Mutex<Option<String>>,
     /// It cannot be served: only looked at and deleted.
     pub(crate) is_damaged: bool,
@@ -67,6 +71,7 @@ impl SceneEntry {
         published: Published,
         limits: &Limits,
     ) -> SceneEntry {
+        let accepted_bytes = AtomicU64::new(head.world.memory_bytes() as u64);
         SceneEntry {
             number: new.number,
             id: new.id,
@@ -81,6 +86,8 @@ impl SceneEntry {
             deleted: watch::Sender::new(false),
             reserved: AtomicU64::new(new.reserved),
             saving: AtomicBool::new(false),
+            accepted_bytes,
+            refined: AtomicU64::new(u64::MAX),
             error: Mutex::new(new.error),
             is_damaged: new.is_damaged,
         }
@@ -145,6 +152,29 @@ impl SceneEntry {
 
     pub(crate) fn unlit(&self) -> usize {
         self.lighting().unlit()
+    }
+
+    pub(crate) fn accepted_bytes(&self) -> u64 {
+        self.accepted_bytes.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn set_accepted_bytes(&self, bytes: u64) {
+        self.accepted_bytes.store(bytes, Ordering::Relaxed);
+    }
+
+    /// What clients see with the map behind it, where that is right for all that was accepted.
+    pub(crate) fn settled(&self) -> Option<(Arc<Published>, Arc<LightMap>)> {
+        let lighting = self.lighting();
+        let published = self.published();
+        let map = lighting.settled(&published)?;
+        Some((published, map))
+    }
+
+    /// Publishes a more accurate map in place of `of`; `None` where anything came in between.
+    pub(crate) fn refine(&self, of: &Arc<LightMap>, lit: Lit<'_>) -> Option<Arc<Published>> {
+        let mut lighting = self.lighting();
+        let next = lighting.refine(&self.published(), of, lit)?;
+        Some(self.publish(next))
     }
 
     /// Publishes the geometry up to `sequence`, with old light. The new version where that changed anything.

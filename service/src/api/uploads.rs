@@ -1,0 +1,255 @@
+//! Uploads of scenes.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
+use glam::Vec3;
+use jiff::Timestamp;
+use serde::Deserialize;
+use tokio::sync::OwnedSemaphorePermit;
+use utoipa::IntoParams;
+
+use super::edit_parse::{check_name, to_budget};
+use super::edit_types::Budget;
+use super::extract::{ApiQuery, read_body, require_content_type};
+use super::problem::{ApiResult, Kind, Problem};
+use super::scenes::scene_json;
+use super::types::{self, JobPriority, SceneMode};
+use super::{Shared, require_serving};
+use crate::engine::{self, LoadError, SurfaceError, World, WorldError};
+use crate::jobs::queue::{Full, JobKind};
+use crate::jobs::{JobSpec, new_record};
+use crate::memory::{self, NoRoom};
+use crate::state::App;
+use crate::store::records::SceneRecord;
+use crate::store::scenes::{NewScene, Reservation, SceneEntry};
+use crate::store::versions::FIRST_RESERVE;
+
+/// Media types of an uploaded file.
+pub(super) const GLB_TYPES: &[&str] = &["model/gltf-binary", "application/octet-stream"];
+
+/// How to upload a scene.
+#[derive(Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct CreateQuery {
+    /// Name for people.
+    #[param(example = "living room")]
+    name: Option<String>,
+    /// Largest distance between neighbouring elements, metres; chosen from the scene's size where absent.
+    #[param(example = 0.1)]
+    spacing: Option<f32>,
+    /// What the light map holds; `full` where absent.
+    #[param(inline)]
+    mode: Option<SceneMode>,
+    /// Constant radiance from outside, `r,g,b`: adds a light named `environment`.
+    #[param(example = "1,1,1")]
+    environment: Option<String>,
+    /// Start a bake at once; `true` where absent.
+    bake: Option<bool>,
+    /// Budget of the bake: samples per element.
+    #[param(example = 128)]
+    samples_per_element: Option<u32>,
+    /// Budget of the bake: seconds.
+    max_seconds: Option<f64>,
+    /// Budget of the bake: stated error.
+    target_rmse: Option<f32>,
+    /// Whose turn comes sooner, of the bake; `normal` where absent.
+    #[param(inline)]
+    priority: Option<JobPriority>,
+}
+
+/// Uploads a scene and starts its bake.
+#[utoipa::path(
+    post, path = "/v1/scenes", tag = "scenes", operation_id = "create_scene", params(CreateQuery),
+    request_body(content = Vec<u8>, content_type = "model/gltf-binary", description = "A `.glb` with everything embedded"),
+    responses((status = 201, body = types::Scene, description = "The scene; its bake is `current_job`",
+        headers(("Location" = String, description = "Path of the scene"))))
+)]
+pub(super) async fn create(
+    State(app): Shared,
+    ApiQuery(query): ApiQuery<CreateQuery>,
+    headers: HeaderMap,
+    body: Body,
+) -> ApiResult<Response> {
+    require_serving(&app)?;
+    require_content_type(&headers, GLB_TYPES)?;
+    let options = Options::from_query(query, &app).map_err(in_query)?;
+    let full = || Problem::new(Kind::TooManyScenes, format!("there are {} scenes", app.config.limits.scenes));
+    let reservation = app.scenes.reserve(app.config.limits.scenes).ok_or_else(full)?;
+    let permit = upload_permit(&app).await?;
+    let glb = read_body(&app, &headers, body, app.config.limits.upload_bytes).await?;
+    let its_app = app.clone();
+    let build = move || {
+        let _permit = permit;
+        create_scene(&its_app, &reservation, options, &glb)
+    };
+    let (scene, bake) = app.compute.build(build).await??;
+    let location = format!("/v1/scenes/{}", scene.id);
+    let mut body = scene_json(&app, &scene).await?;
+    // Also where it is done by now.
+    body.current_job = bake;
+    Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(body)).into_response())
+}
+
+/// Builds a scene, keeps it with its bake, and lets everybody see both; answers the scene and the bake's id.
+fn create_scene(
+    app: &Arc<App>,
+    reservation: &Reservation,
+    options: Options,
+    glb: &Bytes,
+) -> ApiResult<(Arc<SceneEntry>, Option<String>)> {
+    let world = build_world(app, glb, options.spacing, options.environment)?;
+    let record = SceneRecord {
+        name: options.name,
+        mode: options.mode.into(),
+        spacing: world.spacing(),
+        environment: options.environment.map(|radiance| radiance.to_array()),
+        created_at: Timestamp::now(),
+    };
+    let new = NewScene {
+        number: reservation.number,
+        id: app.ids.scene(reservation.number),
+        name: record.name.clone(),
+        mode: record.mode,
+        created_at: record.created_at,
+        first_event: app.first_event,
+        reserved: FIRST_RESERVE,
+        error: None,
+        is_damaged: false,
+    };
+    let scene = Arc::new(SceneEntry::new(new, world, &app.config.limits));
+    // Nobody else sees the scene yet.
+    let mut head = scene.head.blocking_lock();
+    let bake = match options.bake {
+        None => None,
+        Some(budget) => {
+            let (kind, priority) = (JobKind::Bake, options.priority);
+            let seed = next_seed(&mut head.jobs);
+            let spec = JobSpec { kind, priority, budget, focus: None, seed, sequence: 0 };
+            let ticket = app.ticket(scene.number).map_err(full_problem)?;
+            let job = new_record(ticket.number, &scene, &spec);
+            Some((ticket, job))
+        }
+    };
+    app.store.scene_created(scene.number, &record, glb, bake.as_ref().map(|(_, job)| job))?;
+    scene.published().objects();
+    app.scenes.insert(scene.clone());
+    let bake = bake.map(|(ticket, job)| app.ids.job(ticket.submit(&scene, &job, || ()).number));
+    drop(head);
+    Ok((scene, bake))
+}
+
+/// A query, checked.
+struct Options {
+    name: String,
+    spacing: Option<f32>,
+    mode: SceneMode,
+    environment: Option<Vec3>,
+    bake: Option<crate::jobs::observer::JobBudget>,
+    priority: JobPriority,
+}
+
+impl Options {
+    fn from_query(query: CreateQuery, app: &App) -> ApiResult<Options> {
+        let name = query.name.unwrap_or_else(|| "scene".to_owned());
+        check_name(&name, "name", app.config.limits.name_chars)?;
+        if query.spacing.is_some_and(|spacing| !(spacing.is_finite() && spacing > 0.0)) {
+            return Err(Problem::field(Kind::InvalidQuery, "spacing", "has to be above 0"));
+        }
+        let budget = Budget {
+            samples_per_element: query.samples_per_element,
+            max_seconds: query.max_seconds,
+            target_rmse: query.target_rmse,
+        };
+        let budget = to_budget(Some(budget), "", app.config.defaults.bake_samples, &app.config)?;
+        Ok(Options {
+            name,
+            spacing: query.spacing,
+            mode: query.mode.unwrap_or_default(),
+            environment: query.environment.as_deref().map(parse_environment).transpose()?,
+            bake: query.bake.unwrap_or(true).then_some(budget),
+            priority: query.priority.unwrap_or_default(),
+        })
+    }
+}
+
+/// Faults in the query are told as such, whatever checked them.
+fn in_query(problem: Problem) -> Problem {
+    problem.with_kind(Kind::InvalidQuery)
+}
+
+fn parse_environment(text: &str) -> ApiResult<Vec3> {
+    let numbers: Option<Vec<f32>> =
+        text.split(',').map(|number| number.trim().parse().ok().filter(|x: &f32| x.is_finite() && *x >= 0.0)).collect();
+    match numbers.as_deref() {
+        Some([r, g, b]) => Ok(Vec3::new(*r, *g, *b)),
+        _ => Err(Problem::field(Kind::InvalidQuery, "environment", "has to be r,g,b, each finite and at least 0")),
+    }
+}
+
+fn build_world(app: &App, glb: &Bytes, spacing: Option<f32>, environment: Option<Vec3>) -> ApiResult<World> {
+    let mut scene = engine::load(glb, &app.config.limits).map_err(load_problem)?;
+    if let Some(radiance) = environment
+        && !engine::add_environment(&mut scene, radiance)
+    {
+        let reason = "the file has a light named \"environment\" already";
+        return Err(Problem::field(Kind::NameTaken, "environment", reason));
+    }
+    let _promise =
+        app.promise_memory(memory::estimate(&scene, spacing), 0).map_err(|full| memory_problem("scene", full))?;
+    engine::build(scene, spacing, &app.config.limits).map_err(|error| match error {
+        WorldError::TooLarge { .. } | WorldError::Surface { source: SurfaceError::TooManyElements { .. }, .. } => {
+            Problem::new(Kind::SceneTooLarge, error.to_string())
+        }
+        error => Problem::new(Kind::UnsupportedFile, error.to_string()),
+    })
+}
+
+/// What does not fit is told with what it would take.
+pub(super) fn memory_problem(what: &str, full: NoRoom) -> Problem {
+    let NoRoom { bytes, free, limit } = full;
+    let text = format!("the {what} would take about {} MiB", bytes >> 20);
+    match limit {
+        Some(limit) => Problem::new(Kind::SceneTooLarge, format!("{text}, the service has {} MiB", limit >> 20)),
+        None => Problem::new(Kind::NoMemory, format!("{text}, {} MiB are free", free >> 20)),
+    }
+}
+
+pub(super) fn load_problem(error: LoadError) -> Problem {
+    match error {
+        LoadError::Malformed(text) => Problem::new(Kind::MalformedFile, text),
+        LoadError::Unsupported(text) => Problem::new(Kind::UnsupportedFile, text),
+        LoadError::TooLarge(text) => Problem::new(Kind::SceneTooLarge, text),
+    }
+}
+
+pub(super) fn full_problem(full: Full) -> Problem {
+    match full {
+        Full::Closed => Problem::new(Kind::ShuttingDown, full.to_string()).retry_after(5),
+        Full::Scene(_) | Full::Service(_) => Problem::new(Kind::QueueFull, full.to_string()).retry_after(1),
+    }
+}
+
+/// A place among the uploads. Nothing of the body is read before it is there.
+pub(super) async fn upload_permit(app: &App) -> ApiResult<OwnedSemaphorePermit> {
+    let wait = tokio::time::timeout(app.config.timeouts.upload_slot, app.uploads.clone().acquire_owned()).await;
+    let busy = || Problem::new(Kind::TooManyUploads, "too many uploads are under way").retry_after(5);
+    wait.ok().and_then(Result::ok).ok_or_else(busy)
+}
+
+/// The seed of a scene's next job. It depends on nothing but how many jobs the scene had, so the same scene and the
+/// same edits give the same light map, bit for bit, whatever else the service does.
+pub(crate) fn next_seed(jobs: &mut u64) -> u64 {
+    *jobs += 1;
+    // SplitMix64: neighbouring counters, unrelated seeds.
+    let mut z = jobs.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    z ^ (z >> 31)
+}
