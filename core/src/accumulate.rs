@@ -71,12 +71,12 @@ impl<V: Value> Accumulator<V> {
 
     /// Mean of the direct part of all rounds.
     pub(crate) fn direct(&self) -> Vec<V> {
-        self.direct.iter().map(|d| *d / self.samples as f32).collect()
+        self.direct.par_iter().with_min_len(CHUNK).map(|d| *d / self.samples as f32).collect()
     }
 
     /// Mean of the indirect part of all rounds.
     pub(crate) fn indirect(&self) -> Vec<V> {
-        self.indirect.iter().map(|i| *i / self.samples as f32).collect()
+        self.indirect.par_iter().with_min_len(CHUNK).map(|i| *i / self.samples as f32).collect()
     }
 
     /// Whether there are rounds enough to tell a variance.
@@ -107,7 +107,7 @@ impl<V: Value> Accumulator<V> {
         }
         let scatter = self.scatter();
         let scale = self.scale(&scatter);
-        scatter.into_iter().map(|v| (v * scale) as f32).collect()
+        scatter.into_par_iter().with_min_len(CHUNK).map(|v| (v * scale) as f32).collect()
     }
 
     /// The same of each layer, layers of a slot side by side; empty for one layer.
@@ -120,11 +120,11 @@ impl<V: Value> Accumulator<V> {
             let total = self.direct[k / layers] + self.indirect[k / layers];
             (self.scatter_of(*q, total.layer(k % layers)) * scale) as f32
         };
-        self.layer_squares.iter().enumerate().map(of).collect()
+        self.layer_squares.par_iter().enumerate().with_min_len(CHUNK).map(of).collect()
     }
 
     fn scatter(&self) -> Vec<f64> {
-        let sums = self.direct.iter().zip(&self.indirect).zip(&self.squares);
+        let sums = self.direct.par_iter().zip(&self.indirect).zip(&self.squares).with_min_len(CHUNK);
         sums.map(|((d, i), q)| self.scatter_of(*q, (*d + *i).weighted(&self.weights))).collect()
     }
 

@@ -4,6 +4,7 @@ use std::cell::OnceCell;
 use std::sync::Arc;
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use crate::accumulate::Accumulator;
 use crate::job::{Budget, Canceled, Observer, Pass};
@@ -131,7 +132,8 @@ impl<'a> Baker<'a> {
         let mut filled_direct = direct.clone();
         world.validity.fill(&mut filled_direct);
         let (exchange, bounces) = self.solve(&filled_direct, round)?;
-        let field = Field { direct: &filled_direct, indirect: &bounces, rough: self.rough::<V>()? };
+        let total: Vec<V> = filled_direct.par_iter().zip(&bounces).map(|(d, b)| *d + *b).collect();
+        let field = Field { total: &total, direct: &filled_direct, rough: self.rough::<V>()? };
         (round.begin)(Pass::FinalGather, 0.4);
         let indirect = gather(world, &field, &self.slots, round.samples, &effort, round.seed, work)?;
         let mut indirect = self.scatter(&indirect);
@@ -147,7 +149,7 @@ impl<'a> Baker<'a> {
     /// All bounces of the direct light, on the subset and interpolated to all slots.
     fn solve<V: Value>(&self, direct: &[V], round: &Round<V>) -> Result<(Exchange<'_, V>, Vec<V>), Canceled> {
         let world = self.world;
-        let field = Field { direct, indirect: &[], rough: self.rough::<V>()? };
+        let field = Field { total: direct, direct, rough: self.rough::<V>()? };
         let source = |_: u32, s: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64| {
             field.at(world, s, near, rng, rays) * s.albedo
         };

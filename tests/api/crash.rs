@@ -3,9 +3,7 @@
 //! `REBAKE_KILLS=200 cargo test -p rebake-tests crash` kills 200 times; `REBAKE_SEED` chooses the workload.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use glam::Vec3;
@@ -14,6 +12,7 @@ use serde_json::{Value, json};
 
 use super::durable::fast_directory;
 use super::glb::{crate_asset, room, translation};
+use super::process::{Service, serve_until_killed};
 use super::server::{Server, patiently};
 
 const DIRECTORY: &str = "REBAKE_CRASH_DIRECTORY";
@@ -27,45 +26,11 @@ fn the_service_that_is_killed() {
     config.timeouts.save = Duration::from_millis(5);
     // None is forgotten while this test still asks for it.
     config.limits.finished_jobs = 1_000_000;
-    tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap().block_on(async {
-        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-        eprintln!("listening on http://{}", listener.local_addr().unwrap());
-        rebake::run(listener, config, std::future::pending()).await.unwrap();
-    });
+    serve_until_killed(config);
 }
 
-/// A child process with the service.
-struct Service {
-    child: Child,
-    server: Server,
-}
-
-impl Service {
-    fn start(directory: &Path) -> Service {
-        let mut child = Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "api::crash::the_service_that_is_killed", "--ignored", "--nocapture"])
-            .env(DIRECTORY, directory)
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let lines = BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok);
-        let base = lines.into_iter().find_map(|line| line.strip_prefix("listening on ").map(str::to_owned));
-        match base {
-            Some(base) => Service { child, server: Server::elsewhere(&base) },
-            None => panic!("the service did not start: {}", child.wait().unwrap()),
-        }
-    }
-
-    fn kill(self) {}
-}
-
-impl Drop for Service {
-    fn drop(&mut self) {
-        // SIGKILL: nothing of the process runs any more. Also where a check failed.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
+fn start(directory: &Path) -> Service {
+    Service::start("api::crash::the_service_that_is_killed", (DIRECTORY, directory.as_os_str()))
 }
 
 /// What a client knows of a scene.
@@ -317,7 +282,7 @@ async fn kills_at_random_moments_lose_nothing_that_was_acknowledged() {
     };
     let started = Instant::now();
     for kill in 0..kills {
-        let service = Service::start(directory.path());
+        let service = start(directory.path());
         let delay = Duration::from_millis(workload.roll(120));
         let alive = async {
             patiently(workload.check(&service.server)).await;
@@ -327,7 +292,7 @@ async fn kills_at_random_moments_lose_nothing_that_was_acknowledged() {
         service.kill();
         assert!(started.elapsed() < Duration::from_secs(3600), "kill {kill} took too long");
     }
-    let service = Service::start(directory.path());
+    let service = start(directory.path());
     workload.check(&service.server).await;
     service.kill();
     eprintln!(

@@ -1,11 +1,13 @@
 //! Bytes that a seeded generator has damaged: edits at a running service, deltas at the decoder. glTF files are damaged
-//! in the same way beside their reader in `core`.
+//! in the same way beside their reader in `core`. The same files are the seeds of `fuzz/`.
+
+use std::path::Path;
 
 use glam::Vec3;
 use rebake_core::delta::{Decoder, Frame, FrameFlags};
 use serde_json::{Value, json};
 
-use super::glb::translation;
+use super::glb::{crate_asset, room, translation};
 use super::server::{Server, path_of};
 
 /// A small generator: the test needs variety, not quality.
@@ -79,13 +81,38 @@ async fn damaged_edits_are_answered_and_break_nothing() {
     server.stop().await;
 }
 
-#[test]
-fn damaged_deltas_are_refused_or_read_and_never_more_than_that() {
+fn deltas() -> [Vec<u8>; 3] {
     let values: Vec<Vec3> = (0..40u8).map(|n| Vec3::splat(f32::from(n))).collect();
     let whole = Frame::whole(&values, 7);
     let part = Frame::from_changed(&values, |slot| slot % 3 == 0, 7, 9);
     let half = Frame { flags: FrameFlags { half: true, ..part.flags }, ..part.clone() }.halved();
-    let corpus = [whole.encode(), part.encode(), half.encode()];
+    [whole.encode(), part.encode(), half.encode()]
+}
+
+/// `REBAKE_UPDATE=1 cargo test -p rebake-tests seeds` writes them anew.
+#[test]
+fn the_seeds_of_the_fuzz_targets_are_those_of_the_tests() {
+    let directory = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/seeds");
+    let named = |target: &'static str, end: &'static str, files: Vec<Vec<u8>>| {
+        files.into_iter().enumerate().map(move |(n, bytes)| (target, format!("{n}.{end}"), bytes))
+    };
+    let files = named("gltf_upload", "glb", vec![room().bytes(), crate_asset()])
+        .chain(named("edit_json", "json", edits()))
+        .chain(named("delta_decode", "rbkd", deltas().to_vec()));
+    for (target, name, bytes) in files {
+        let path = directory.join(target).join(name);
+        if std::env::var_os("REBAKE_UPDATE").is_some() {
+            std::fs::create_dir_all(directory.join(target)).unwrap();
+            std::fs::write(&path, &bytes).unwrap();
+        }
+        let is_same = std::fs::read(&path).is_ok_and(|on_disk| on_disk == bytes);
+        assert!(is_same, "{} is out of date: REBAKE_UPDATE=1 cargo test -p rebake-tests seeds", path.display());
+    }
+}
+
+#[test]
+fn damaged_deltas_are_refused_or_read_and_never_more_than_that() {
+    let corpus = deltas();
     let mut dice = Dice(1);
     for _ in 0..20_000 {
         let (bytes, other) = (&corpus[dice.roll(3)], &corpus[dice.roll(3)]);

@@ -3,6 +3,7 @@
 mod access;
 mod browser;
 mod crash;
+mod dashboard;
 mod deltas;
 mod durable;
 mod edits;
@@ -15,7 +16,9 @@ mod idle;
 mod jobs;
 mod layers;
 mod lightmap;
+mod load;
 mod openapi;
+mod process;
 mod render;
 mod scenes;
 mod server;

@@ -145,15 +145,15 @@ fn scales_and_distances() {
 
 /// A hundred edits, with a little refinement after every pair as in a service with idle time: the noise and the bias
 /// that each leaves behind must not add up.
-#[test]
-fn inserting_and_removing_comes_back() {
-    let mut world = world(room_objects(0.7), 0.25);
-    let mut map = baked(&world, 512);
-    let start = map.clone();
+/// Fifty times a crate comes and goes; `after_pair` sees the map after each. Answers the world and map before and after.
+fn come_and_go(
+    mut after_pair: impl FnMut(u64, &World, Arc<LightMap>) -> Arc<LightMap>,
+) -> (World, Arc<LightMap>, World, Arc<LightMap>) {
+    let start = world(room_objects(0.7), 0.25);
+    let before = baked(&start, 512);
+    let (mut world, mut map) = (start.clone(), before.clone());
     let asset = Arc::new(Scene::from_objects(vec![crate_at("c", 0.0, 0.0, Vec3::splat(0.3))]));
     let transform = DMat4::from_translation(DVec3::new(2.2, 0.0, 1.9));
-    let before = mean_total(&world, &map);
-    let mut stated = Vec::new();
     for turn in 0..50 {
         let insert = Edit::Insert { asset: Arc::clone(&asset), name: "crate".into(), transform };
         for (k, edit) in [insert, Edit::Remove { objects: vec!["crate".into()] }].into_iter().enumerate() {
@@ -166,20 +166,37 @@ fn inserting_and_removing_comes_back() {
                 world = world.with_trees(trees).expect("nothing has changed since");
             }
         }
-        map = refine(&world, &map, &budget(64), 500 + turn, &Unobserved).expect("nobody cancels");
+        map = after_pair(turn, &world, map);
         assert_finite("insert and remove", &map);
-        stated.push(f64::from(map.estimated_rmse(world.areas())));
     }
-    assert_eq!(world.element_count(), start.len(), "holes at the end are all that is left");
+    assert_eq!(world.element_count(), before.len(), "holes at the end are all that is left");
+    (start, before, world, map)
+}
+
+#[test]
+fn a_hundred_edits_by_themselves_drift_little() {
+    let (start, before, world, map) = come_and_go(|_, _, map| map);
+    let ratio = mean_total(&world, &map) / mean_total(&start, &before);
+    assert!((ratio - 1.0).abs() < 0.03, "after 100 edits the mean is {ratio:.4} of what it was");
+}
+
+#[test]
+fn refined_after_every_pair_a_hundred_edits_leave_no_trace() {
+    let mut stated = Vec::new();
+    let (start, before, world, map) = come_and_go(|turn, world, map| {
+        let map = refine(world, &map, &budget(64), 500 + turn, &Unobserved).expect("nobody cancels");
+        stated.push(f64::from(map.estimated_rmse(world.areas())));
+        map
+    });
     let (first, last) = (stated[0], stated[stated.len() - 1]);
     assert!(last < 1.5 * first, "the stated error grew from {first} to {last}");
-    let ratio = mean_total(&world, &map) / before;
+    let ratio = mean_total(&world, &map) / mean_total(&start, &before);
     assert!((ratio - 1.0).abs() < 0.01, "after 100 edits the mean is {ratio:.4} of what it was");
     // What is stated is what is there: against the map before all edits, whose own noise counts too.
     let areas = f64::from(world.areas().iter().sum::<f32>());
-    let squares = (0..start.len())
-        .map(|i| f64::from(world.areas()[i]) * (map.total(i) - start.total(i)).as_dvec3().length_squared() / 3.0);
-    let (found, own) = ((squares.sum::<f64>() / areas).sqrt(), f64::from(start.estimated_rmse(world.areas())));
+    let squares = (0..before.len())
+        .map(|i| f64::from(world.areas()[i]) * (map.total(i) - before.total(i)).as_dvec3().length_squared() / 3.0);
+    let (found, own) = ((squares.sum::<f64>() / areas).sqrt(), f64::from(before.estimated_rmse(start.areas())));
     let expected = last.hypot(own);
     assert!(found < 1.5 * expected, "error {found}, stated {expected}");
 }

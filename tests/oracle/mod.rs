@@ -5,6 +5,7 @@ mod edits;
 mod enclosures;
 mod focus;
 mod hard_cases;
+mod layers;
 mod paper;
 mod path;
 mod plates;

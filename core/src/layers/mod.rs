@@ -114,21 +114,30 @@ pub(crate) fn whole(layers: Vec<Arc<Layer>>, weights: &[Vec3], correlation: f64)
     let (direct, indirect) = (sum(|l| &l.direct), sum(|l| &l.indirect));
     let correlation = correlation as f32;
     let factors: Vec<f32> = weights.iter().map(|w| w.length_squared() / 3.0).collect();
-    let variance = |slot: usize| {
-        let (mut independent, mut equal) = (0.0, 0.0);
+    let mut variance = vec![0.0f32; len];
+    variance.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, variance)| {
+        let mut equal = [0.0f32; CHUNK];
+        let equal = &mut equal[..variance.len()];
         for (layer, factor) in layers.iter().zip(&factors) {
-            let variance = layer.variance[slot] * factor;
-            independent += variance;
-            equal += variance.sqrt();
+            let values = &layer.variance[chunk * CHUNK..][..variance.len()];
+            for ((sum, equal), value) in variance.iter_mut().zip(&mut *equal).zip(values) {
+                let value = value * factor;
+                *sum += value;
+                *equal += value.sqrt();
+            }
         }
-        independent + correlation * (equal * equal - independent)
-    };
-    let variance = (0..len).into_par_iter().with_min_len(CHUNK).map(variance).collect();
+        for (sum, equal) in variance.iter_mut().zip(equal) {
+            *sum += correlation * (*equal * *equal - *sum);
+        }
+    });
     LightMap { direct, indirect, variance, layers }
 }
 
 /// Slots per task: two parts of it fit in the cache.
 const CHUNK: usize = 4096;
+
+/// So many slots tell a correlation.
+const CORRELATION_SLOTS: usize = 1 << 14;
 
 /// How much the errors of layers, which share their rays, have in common: 0 not at all, 1 they are the same. From the
 /// variance of the whole, which was measured, and those of its layers.
@@ -138,7 +147,8 @@ pub(crate) fn correlation(map: &LightMap, weights: &[Vec3]) -> f64 {
     }
     let factors: Vec<f32> = weights.iter().map(|w| w.length_squared() / 3.0).collect();
     let (mut measured, mut independent, mut equal) = (0.0f64, 0.0f64, 0.0f64);
-    for slot in 0..map.len() {
+    let step = map.len().div_ceil(CORRELATION_SLOTS).max(1);
+    for slot in (0..map.len()).step_by(step) {
         let (mut sum, mut root) = (0.0, 0.0);
         for (layer, factor) in map.layers.iter().zip(&factors) {
             let variance = layer.variance[slot] * factor;

@@ -11,6 +11,18 @@ use crate::lightmap::LightMap;
 use crate::transport::Value;
 use crate::world::{Transition, Validity};
 
+/// Slots per task.
+const CHUNK: usize = 4096;
+
+/// Variances of some layers, those of a slot side by side.
+fn interleaved(layers: &[Arc<Layer>], len: usize) -> Vec<f32> {
+    let mut out = vec![0.0; len * layers.len()];
+    out.par_chunks_mut(layers.len()).enumerate().with_min_len(CHUNK).for_each(|(slot, out)| {
+        out.iter_mut().zip(layers).for_each(|(out, layer)| *out = layer.variance[slot]);
+    });
+    out
+}
+
 /// Light of some layers per slot.
 #[derive(Clone, Debug)]
 pub(crate) struct Stack<V> {
@@ -59,15 +71,14 @@ impl<V: Value> Stack<V> {
                 let of = |(k, layer): (usize, &Arc<Layer>)| V::of_layer(k as u32, part(layer)[slot]);
                 layers.iter().enumerate().map(of).sum()
             };
-            (0..len).into_par_iter().with_min_len(4096).map(value).collect()
+            (0..len).into_par_iter().with_min_len(CHUNK).map(value).collect()
         };
         let many = layers.len() > 1;
-        let per_layer = |slot: usize| layers.iter().map(move |layer| layer.variance[slot]);
         Stack {
             direct: side_by_side(|layer| &layer.direct),
             indirect: side_by_side(|layer| &layer.indirect),
             variance: if many { variance.to_vec() } else { layers.iter().flat_map(|l| l.variance.clone()).collect() },
-            layer_variance: if many { (0..len).flat_map(per_layer).collect() } else { Vec::new() },
+            layer_variance: if many { interleaved(layers, len) } else { Vec::new() },
         }
     }
 
@@ -75,10 +86,10 @@ impl<V: Value> Stack<V> {
     pub(crate) fn to_layers(&self, headers: &[&Header]) -> Vec<Arc<Layer>> {
         let layers = headers.len();
         let of = |(k, header): (usize, &&Header)| {
-            let take = |values: &[V]| values.par_iter().with_min_len(4096).map(|v| v.layer(k)).collect();
+            let take = |values: &[V]| values.par_iter().with_min_len(CHUNK).map(|v| v.layer(k)).collect();
             let variance = match layers {
                 1 => self.variance.clone(),
-                _ => self.layer_variance.iter().skip(k).step_by(layers).copied().collect(),
+                _ => self.layer_variance.par_chunks_exact(layers).with_min_len(CHUNK).map(|slot| slot[k]).collect(),
             };
             let (name, lights) = (header.name.clone(), header.lights.clone());
             Arc::new(Layer { name, lights, direct: take(&self.direct), indirect: take(&self.indirect), variance })
@@ -109,10 +120,13 @@ impl<V: Value> Stack<V> {
 
     /// Adds another, independent one.
     pub(crate) fn add(&mut self, other: &Stack<V>) {
-        self.direct.iter_mut().zip(&other.direct).for_each(|(a, b)| *a += *b);
-        self.indirect.iter_mut().zip(&other.indirect).for_each(|(a, b)| *a += *b);
-        self.variance.iter_mut().zip(&other.variance).for_each(|(a, b)| *a += *b);
-        self.layer_variance.iter_mut().zip(&other.layer_variance).for_each(|(a, b)| *a += *b);
+        fn add<T: std::ops::AddAssign + Copy + Send + Sync>(a: &mut [T], b: &[T]) {
+            a.par_iter_mut().zip(b).with_min_len(CHUNK).for_each(|(a, b)| *a += *b);
+        }
+        add(&mut self.direct, &other.direct);
+        add(&mut self.indirect, &other.indirect);
+        add(&mut self.variance, &other.variance);
+        add(&mut self.layer_variance, &other.layer_variance);
     }
 
     /// Takes the part `weight` of another in some slots. Both hold the noise of `shared`, and beside it their own.
@@ -156,7 +170,7 @@ impl<V: Value> Stack<V> {
 
     /// direct + indirect.
     pub(crate) fn total(&self) -> Vec<V> {
-        self.direct.iter().zip(&self.indirect).map(|(d, i)| *d + *i).collect()
+        self.direct.par_iter().zip(&self.indirect).with_min_len(CHUNK).map(|(d, i)| *d + *i).collect()
     }
 
     /// Elements inside solids take their neighbours' values.

@@ -105,7 +105,7 @@ impl<'a> Shading<'a> {
             return surfel.interpolate(elements, &self.map.indirect);
         }
         let rough = Rough::default();
-        let field = Field { direct: &self.totals, indirect: &[], rough: &rough };
+        let field = Field { total: &self.totals, direct: &self.totals, rough: &rough };
         let origin = surfel.position + surfel.normal * self.world.epsilon;
         let direction = cosine_hemisphere(surfel.normal, rng.next_2d());
         incoming_light(self.world, &field, origin, direction, rng, &mut 0)

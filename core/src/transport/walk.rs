@@ -93,10 +93,10 @@ pub(crate) fn walk(
 /// Light to look up where paths land, irradiance / π per slot.
 #[derive(Clone, Copy)]
 pub(crate) struct Field<'a, V> {
-    /// Straight from lights.
+    /// All light: of most look-ups it is all that is read.
+    pub total: &'a [V],
+    /// What of it comes straight from lights.
     pub direct: &'a [V],
-    /// After at least one bounce; empty where there is none.
-    pub indirect: &'a [V],
     /// Where the direct light must not be looked up.
     pub rough: &'a Rough,
 }
@@ -139,12 +139,12 @@ impl<V: Value> Field<'_, V> {
     #[inline]
     pub(crate) fn at(&self, world: &World, surfel: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64) -> V {
         let Some(elements) = surfel.elements.filter(|_| !near) else { return light_at(world, surfel, rng, rays) };
-        let indirect =
-            if self.indirect.is_empty() { V::default() } else { surfel.interpolate(elements, self.indirect) };
+        let total = surfel.interpolate(elements, self.total);
         if self.rough.contains(surfel.triangle) {
+            let indirect = total - surfel.interpolate(elements, self.direct);
             return indirect + light_at(world, surfel, rng, rays) + sky_at(world, surfel, rng, rays);
         }
-        indirect + surfel.interpolate(elements, self.direct)
+        total
     }
 }
 

@@ -38,7 +38,7 @@ impl<V: Value> Updater<'_, V> {
             rows.iter().for_each(|&slot| field[slot as usize] += known[slot as usize]);
         }
         let rough = Rough::default();
-        let light = Field { direct: &field, indirect: &[], rough: &rough };
+        let light = Field { total: &field, direct: &field, rough: &rough };
         let gathered = gather(world, &light, rows, samples, &nominal, subseed(round.seed, 0x0b), work)?;
         rows.iter().zip(gathered).for_each(|(&slot, i)| indirect[slot as usize] = i);
         Ok(())
@@ -50,7 +50,7 @@ impl<V: Value> Updater<'_, V> {
         let is_new = self.new_flags();
         let rows = Rows::only(&self.subset, |slot| is_new[slot as usize]);
         let rough = Rough::default();
-        let light = Field { direct: field, indirect: &[], rough: &rough };
+        let light = Field { total: field, direct: field, rough: &rough };
         let source = |_: u32, s: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64| {
             light.at(world, s, near, rng, rays) * s.albedo
         };

@@ -264,10 +264,9 @@ impl Draft {
                 None => self.world.scene.groups.remove(light),
             };
         }
-        // One layer is left for the lights in no group.
         let groups: BTreeSet<&String> = self.world.scene.groups.values().collect();
-        if groups.len() >= MAX_LAYERS {
-            let reason = format!("the scene would have more than {} groups of lights", MAX_LAYERS - 1);
+        if groups.len() > MAX_LAYERS {
+            let reason = format!("the scene would have more than {MAX_LAYERS} groups of lights");
             return Err(error("name", reason, EditErrorKind::TooLarge));
         }
         Ok(())

@@ -16,11 +16,13 @@ use super::problem::{ApiResult, Kind, Problem};
 use super::types::{Job, to_event_data};
 use super::uploads::{full_problem, memory_problem, next_seed};
 use super::{Shared, find_scene, require_serving};
-use crate::engine::{Edit, EditError, EditErrorKind};
+use crate::config::Config;
+use crate::engine::{Edit, EditError, EditErrorKind, Scene, World};
 use crate::jobs::queue::JobKind;
 use crate::jobs::{JobSpec, new_record};
 use crate::memory;
 use crate::state::App;
+use crate::store::assets::{Assets, NoRoom};
 use crate::store::lighting::Unlit;
 use crate::store::records::{Accepted, EditRecord, KeyRecord};
 use crate::store::scenes::{Head, SceneEntry};
@@ -177,6 +179,27 @@ fn edit_problem(error: EditError, is_list: bool) -> Problem {
         EditErrorKind::TooLarge => Kind::EditTooLarge,
     };
     Problem::field(kind, field, error.reason)
+}
+
+/// Reads the body of an edit request against `world` as the service does, without one: for fuzzing.
+///
+/// # Errors
+/// What is wrong with it, for people.
+pub fn read_edits(
+    body: &[u8],
+    assets: impl IntoIterator<Item = (String, Scene)>,
+    world: &World,
+) -> Result<Vec<Edit>, String> {
+    let told = |problem: Problem| problem.to_string();
+    let held = Assets::new(usize::MAX, usize::MAX);
+    for (id, scene) in assets {
+        held.insert(id, scene, 0).map_err(|NoRoom| "too many assets".to_owned())?;
+    }
+    let config = Config::default();
+    let parsed = parse(body, config.limits.edits_per_request).map_err(told)?;
+    to_budget(parsed.budget, "budget", config.defaults.edit_samples, &config).map_err(told)?;
+    parsed.focus.as_ref().map(|focus| to_focus(focus, world)).transpose().map_err(told)?;
+    to_edits(&parsed, &held, config.limits.name_chars).map_err(told)
 }
 
 fn idempotency_key(headers: &HeaderMap) -> ApiResult<Option<String>> {

@@ -33,7 +33,9 @@ impl App {
         state.idle = Some(stop.clone());
         let app = self.clone();
         pool.spawn(move || {
-            refine_all(&app, bounds, &stop);
+            if let Err(panic) = catching(|| refine_all(&app, bounds, &stop)) {
+                tracing::error!(%panic, "refining failed");
+            }
             app.end_refining(&stop);
         });
     }

@@ -1,0 +1,25 @@
+//! Uploads: any bytes give a scene or an error.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use rebake_core::scene::{LoadLimits, load_glb};
+use rebake_core::{World, WorldOptions};
+
+fuzz_target!(|data: &[u8]| {
+    // Small, so that each try is quick.
+    let limits = LoadLimits {
+        max_bytes: 1 << 20,
+        max_nodes: 1000,
+        max_objects: 100,
+        max_lights: 100,
+        max_triangles: 2000,
+        max_vertices: 10_000,
+        max_texture_pixels: 1 << 16,
+        max_total_texture_pixels: 1 << 18,
+        ..LoadLimits::default()
+    };
+    if let Ok(scene) = load_glb(data, &limits) {
+        let options = WorldOptions { spacing: Some(1.0), max_elements: 5000, max_triangles: 10_000 };
+        let _ = World::new(scene, &options);
+    }
+});

@@ -1,0 +1,232 @@
+//! Many clients that follow many scenes while all of them are edited: nothing is lost, memory stays flat, small requests
+//! are answered.
+//!
+//! `REBAKE_LOAD_SECONDS=600 cargo test -p rebake-tests load -- --nocapture` is the long run, with 10 scenes and 100
+//! clients; below a minute there are 3 and 12.
+
+use std::time::{Duration, Instant};
+
+use futures_util::future::join_all;
+use glam::Vec3;
+use rebake::client::DeltaFollower;
+use serde_json::{Value, json};
+use tokio::sync::watch;
+use tokio::time::MissedTickBehavior;
+
+use super::glb::{crate_asset, room, translation};
+use super::process::{Service, serve_until_killed};
+use super::server::{PATIENCE, Server, path_of};
+
+const CHILD: &str = "REBAKE_LOAD_CHILD";
+
+/// The service under load: this test binary, run by the test below.
+#[test]
+#[ignore = "run as a child process by the load test"]
+fn the_service_under_load() {
+    if std::env::var_os(CHILD).is_some() {
+        let mut config = rebake::Config { threads: 1, ..Default::default() };
+        // Both are full within seconds: from then on memory has to be flat.
+        (config.limits.finished_jobs, config.limits.events) = (200, 64);
+        serve_until_killed(config);
+    }
+}
+
+struct Load {
+    seconds: u64,
+    scenes: usize,
+    clients: usize,
+    spacing: f64,
+}
+
+impl Load {
+    fn chosen() -> Load {
+        let seconds = std::env::var("REBAKE_LOAD_SECONDS").ok().map_or(3, |text| text.parse().unwrap());
+        let is_long = seconds >= 60;
+        let (scenes, clients, spacing) = if is_long { (10, 100, 0.25) } else { (3, 12, 0.5) };
+        Load { seconds, scenes, clients, spacing }
+    }
+}
+
+/// How a client takes its stream.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Habit {
+    Steady,
+    /// Takes nothing in now and then, on an open connection.
+    Stalls,
+    /// Goes away now and then and comes back with its last version.
+    Reconnects,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Taken {
+    snapshots: u64,
+    bytes: u64,
+    pauses: u64,
+}
+
+/// Follows a scene until `end` tells the version that it has to reach; answers the map.
+async fn follow(server: &Server, scene: &str, habit: Habit, mut end: watch::Receiver<u64>) -> (Vec<Vec3>, u64, Taken) {
+    const EVERY: u64 = 5;
+    const PAUSE: Duration = Duration::from_millis(700);
+    let mut follower = server.client.follow(scene);
+    let mut taken = Taken::default();
+    loop {
+        let last = *end.borrow_and_update();
+        if last > 0 && follower.version() >= last {
+            let (map, version) = follower.into_map();
+            return (map, version, taken);
+        }
+        let update = tokio::select! {
+            update = follower.next() => update.unwrap(),
+            _ = end.changed() => continue,
+        };
+        taken.snapshots += 1;
+        taken.bytes += update.bytes as u64;
+        if last > 0 || taken.snapshots % EVERY != 0 || habit == Habit::Steady {
+            continue;
+        }
+        taken.pauses += 1;
+        if habit == Habit::Reconnects {
+            let (map, version) = follower.into_map();
+            tokio::time::sleep(PAUSE).await;
+            follower = DeltaFollower::resume(server.client.clone(), scene, map, version);
+        } else {
+            tokio::time::sleep(PAUSE).await;
+        }
+    }
+}
+
+/// Edits a scene until the time is over, in bursts that the queue may merge; answers how many edits.
+async fn edit(server: &Server, scene: &Value, asset: &str, until: Instant) -> u64 {
+    let mut edits = 0;
+    for round in 0u32.. {
+        let x = 1.0 + 0.1 * f64::from(round % 20);
+        let at = |x: f64| translation(x, 0.01, 2.0);
+        let burst = [
+            json!({ "op": "insert", "asset": asset, "name": "crate", "transform": at(x) }),
+            json!({ "op": "move", "object": "crate", "transform": at(x + 0.1) }),
+            json!({ "op": "move", "object": "crate", "transform": at(x + 0.2) }),
+            json!({ "op": "relight", "lights": [{ "light": "lamp", "intensity": 10 + round % 7 }] }),
+            json!({ "op": "material", "object": "cupboard", "albedo": [0.1, 0.2, 0.1 + 0.1 * f64::from(round % 6)] }),
+            json!({ "op": "remove", "objects": ["crate"] }),
+        ];
+        for part in burst.chunks(3) {
+            let mut last = String::new();
+            for edit in part {
+                let mut edit = edit.clone();
+                edit["budget"] = json!({ "samples_per_element": 4 });
+                last = server.edit(scene, &edit).await;
+                edits += 1;
+            }
+            let job = server.end_of(&last).await;
+            assert_eq!(job["state"], "succeeded", "{job}");
+        }
+        if Instant::now() >= until {
+            break;
+        }
+    }
+    edits
+}
+
+/// Small requests at a steady pace until the time is over: how long each took, in milliseconds, sorted.
+async fn ask(server: &Server, scenes: &[Value], until: Instant) -> Vec<f64> {
+    let mut pace = tokio::time::interval(Duration::from_millis(10));
+    pace.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut took = Vec::new();
+    for n in 0.. {
+        pace.tick().await;
+        if Instant::now() >= until {
+            break;
+        }
+        let path = match n % 4 {
+            0 => "/healthz".to_owned(),
+            1 => path_of(&scenes[n / 4 % scenes.len()]),
+            2 => "/v1/jobs?limit=10".to_owned(),
+            _ => "/v1/scenes".to_owned(),
+        };
+        let asked = Instant::now();
+        assert_eq!(server.get(&path).await.status, 200, "{path}");
+        took.push(asked.elapsed().as_secs_f64() * 1e3);
+    }
+    took.sort_by(f64::total_cmp);
+    took
+}
+
+/// Memory at the start, at half time and at the end.
+async fn watch_memory(service: &Service, until: Instant) -> [Option<f64>; 3] {
+    let (start, now) = (service.resident_mib(), Instant::now());
+    tokio::time::sleep_until((now + (until - now) / 2).into()).await;
+    let half = service.resident_mib();
+    tokio::time::sleep_until(until.into()).await;
+    [start, half, service.resident_mib()]
+}
+
+fn bits(map: &[Vec3]) -> Vec<[u32; 3]> {
+    map.iter().map(|value| value.to_array().map(f32::to_bits)).collect()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn under_load_nothing_is_lost() {
+    let load = Load::chosen();
+    let service = Service::start("api::load::the_service_under_load", (CHILD, "1".as_ref()));
+    let server = &service.server;
+    let asset = server.client.create_asset(crate_asset()).await.unwrap();
+    let query = format!("/v1/scenes?samples_per_element=4&spacing={}", load.spacing);
+    let mut scenes = Vec::new();
+    for _ in 0..load.scenes {
+        let scene = server.post_glb(&query, room().bytes()).await.json(201);
+        server.end_of(scene["current_job"].as_str().unwrap()).await;
+        scenes.push(scene);
+    }
+
+    let ends: Vec<watch::Sender<u64>> = scenes.iter().map(|_| watch::Sender::new(0)).collect();
+    let clients = (0..load.clients).map(async |n| {
+        let habit = [Habit::Steady, Habit::Steady, Habit::Stalls, Habit::Reconnects][n / load.scenes % 4];
+        let scene = n % load.scenes;
+        (scene, follow(server, scenes[scene]["id"].as_str().unwrap(), habit, ends[scene].subscribe()).await)
+    });
+    let until = Instant::now() + Duration::from_secs(load.seconds);
+    let work = async {
+        let edits = join_all(scenes.iter().map(|scene| edit(server, scene, &asset, until)));
+        let (edits, took, memory) = tokio::join!(edits, ask(server, &scenes, until), watch_memory(&service, until));
+        for (scene, end) in scenes.iter().zip(&ends) {
+            end.send_replace(server.get(&path_of(scene)).await.json(200)["version"].as_u64().unwrap());
+        }
+        (edits.iter().sum::<u64>(), took, memory)
+    };
+    let all = async { tokio::join!(join_all(clients), work) };
+    let (clients, (edits, took, memory)) =
+        tokio::time::timeout(Duration::from_secs(load.seconds) + 3 * PATIENCE, all).await.expect("it ends");
+
+    let mut total = Taken::default();
+    for (scene, (map, version, taken)) in &clients {
+        let mut fresh = server.client.follow(scenes[*scene]["id"].as_str().unwrap());
+        fresh.catch_up().await.unwrap();
+        assert_eq!(*version, fresh.version());
+        assert!(bits(map) == bits(fresh.map()), "a client's map is not the service's");
+        total.snapshots += taken.snapshots;
+        total.bytes += taken.bytes;
+        total.pauses += taken.pauses;
+    }
+    let at = |share: f64| took[((took.len() - 1) as f64 * share) as usize];
+    eprintln!(
+        "{} s, {} scenes, {} clients: {edits} edits, {} snapshots taken in ({:.1} MiB), {} pauses, nothing lost\n\
+         {} small requests: median {:.1} ms, p99 {:.1} ms, longest {:.1} ms; memory {memory:.0?} MiB",
+        load.seconds,
+        load.scenes,
+        load.clients,
+        total.snapshots,
+        total.bytes as f64 / f64::from(1 << 20),
+        total.pauses,
+        took.len(),
+        at(0.5),
+        at(0.99),
+        at(1.0),
+    );
+    assert!(total.pauses > 0 && edits > 0);
+    if let [Some(start), Some(half), Some(end)] = memory {
+        assert!(end < start + 256.0, "from {start} to {end} MiB");
+        assert!(end < half * 1.25 + 32.0, "still growing: {half} MiB at half time, {end} at the end");
+    }
+    service.kill();
+}

@@ -1,0 +1,243 @@
+//! Light layers: every layer stays what a bake of its lights alone would give, and relighting needs no ray.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use glam::{DMat4, DVec3, Vec3};
+use rebake_core::layers::Layer;
+use rebake_core::random::Pcg32;
+use rebake_core::scene::{Light, LightKind, Scene};
+use rebake_core::{Budget, Edit, LightMap, Observer, Progress, Relight, Unobserved, World, WorldOptions, bake, update};
+
+use super::scenes::{crate_at, room_objects, world};
+use super::statistics::{area_mean, assert_agrees, replicate};
+
+fn budget(samples: u32) -> Budget {
+    Budget { samples_per_element: samples, target_rmse: None }
+}
+
+fn baked(world: &World, samples: u32, seed: u64) -> Arc<LightMap> {
+    bake(world, &budget(samples), seed, &Unobserved).expect("nobody cancels")
+}
+
+fn bulb(name: &str, position: [f64; 3], intensity: f32) -> Edit {
+    let kind = LightKind::Point { position: DVec3::from_array(position), range: None };
+    Edit::InsertLight { name: name.into(), kind, color: Vec3::ONE, intensity }
+}
+
+fn relight(light: &str, color: Vec3, intensity: f32) -> Edit {
+    Edit::Relight { lights: vec![Relight { light: light.into(), color: Some(color), intensity: Some(intensity) }] }
+}
+
+/// A room with the ceiling's lamp and three bulbs.
+fn room(spacing: f32) -> World {
+    let bulbs =
+        [bulb("red", [0.8, 1.5, 2.2], 1.5), bulb("green", [2.3, 1.2, 0.7], 1.0), bulb("blue", [2.2, 0.6, 2.3], 0.5)];
+    world(room_objects(0.7), spacing).apply(&bulbs).expect("bulbs").after
+}
+
+fn each_alone(world: &World) -> World {
+    let names = |world: &World| -> Vec<String> { world.lights().map(|l| l.light.name.clone()).collect() };
+    let edits: Vec<Edit> = names(world)
+        .into_iter()
+        .map(|name| Edit::GroupLights { group: Some(name.clone()), lights: vec![name] })
+        .collect();
+    world.apply(&edits).expect("groups").after
+}
+
+/// Counts rays and snapshots.
+#[derive(Default)]
+struct Count {
+    rays: AtomicU64,
+    snapshots: AtomicU64,
+}
+
+impl Observer for Count {
+    fn snapshot(&self, _: &Arc<LightMap>, progress: &Progress) {
+        self.rays.store(progress.rays, Ordering::Relaxed);
+        self.snapshots.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// The scene with the lights of one layer only, at the strength that the layer holds.
+fn alone(world: &World, layer: &Layer) -> World {
+    let reference = |light: &Light| layer.lights.iter().find(|l| l.name == light.name).map(|l| l.reference);
+    let lit = |light: &Light| reference(light).map(|color| Light { color, intensity: 1.0, ..light.clone() });
+    let lights = world.scene.lights.iter().filter_map(lit).collect();
+    let scene = Scene { lights, groups: std::collections::BTreeMap::new(), ..world.scene.clone() };
+    let options = WorldOptions { spacing: Some(world.spacing()), ..WorldOptions::default() };
+    World::new(scene, &options).expect("it was a scene before")
+}
+
+/// The parts of a layer of several maps against bakes of that layer alone: means of objects that both worlds have.
+fn check_layer(name: &str, world: &World, maps: &[Arc<LightMap>], layer: usize, bias: f64) {
+    let alone = alone(world, &maps[0].layers[layer]);
+    let fresh: Vec<Arc<LightMap>> = (0..4).map(|seed| baked(&alone, 128, 900 + seed)).collect();
+    type Pick = (&'static str, fn(&Layer) -> &Vec<Vec3>, fn(&LightMap) -> &Vec<Vec3>);
+    let parts: [Pick; 2] = [("direct", |l| &l.direct, |m| &m.direct), ("indirect", |l| &l.indirect, |m| &m.indirect)];
+    for (part, of_layer, of_map) in parts {
+        let mean = |world: &World, values: &Vec<Vec3>| area_mean(world, |_| true, |i| values[i].as_dvec3());
+        let of_fresh = replicate(fresh.len() as u64, |i| mean(&alone, of_map(&fresh[i as usize])));
+        let truth = fresh.iter().map(|m| mean(&alone, of_map(m))).sum::<f64>() / fresh.len() as f64;
+        let estimate = replicate(maps.len() as u64, |i| mean(world, of_layer(&maps[i as usize].layers[layer])));
+        let name = format!("{name}, layer {}, {part}", maps[0].layers[layer].name);
+        assert_agrees(&name, estimate, truth, bias * truth + 5.0 * of_fresh.error);
+    }
+}
+
+/// The weighted sum of its layers is the map, up to rounding.
+fn check_sum(world: &World, map: &LightMap) {
+    let weights = map.layer_weights(&world.scene);
+    for slot in 0..map.len() {
+        let sum: Vec3 = map.layers.iter().zip(&weights).map(|(l, w)| (l.direct[slot] + l.indirect[slot]) * *w).sum();
+        let off = (sum - map.total(slot)).abs().max_element();
+        assert!(off <= 1e-5 * (1.0 + sum.abs().max_element()), "slot {slot}: {sum} {}", map.total(slot));
+    }
+}
+
+#[test]
+fn layers_of_a_bake_are_bakes_of_their_lights() {
+    let world = each_alone(&room(0.2));
+    let maps: Vec<Arc<LightMap>> = (0..8).map(|seed| baked(&world, 64, seed)).collect();
+    assert_eq!(maps[0].layers.len(), 4);
+    check_sum(&world, &maps[0]);
+    for layer in 0..4 {
+        check_layer("bake", &world, &maps, layer, 1e-3);
+    }
+    // All together are the light of a bake that tells none apart.
+    let together = room(0.2);
+    let mean = |world: &World, map: &LightMap| area_mean(world, |_| true, |i| map.total(i).as_dvec3());
+    let plain: Vec<Arc<LightMap>> = (0..8).map(|seed| baked(&together, 64, 50 + seed)).collect();
+    let truth = replicate(8, |i| mean(&together, &plain[i as usize]));
+    let estimate = replicate(8, |i| mean(&world, &maps[i as usize]));
+    assert_agrees("layers together", estimate, truth.mean, 5.0 * truth.error);
+}
+
+#[test]
+fn a_light_that_is_relit_gets_a_layer_of_its_own_and_then_needs_no_ray() {
+    let start = room(0.2);
+    let first = start.apply(&[relight("red", Vec3::new(1.0, 0.2, 0.1), 3.0)]).expect("a relight");
+    let maps: Vec<Arc<LightMap>> = (0..8)
+        .map(|seed| {
+            let old = baked(&start, 64, seed);
+            update(&first, &old, &budget(32), None, seed, &Unobserved).expect("nobody cancels")
+        })
+        .collect();
+    let names: Vec<&str> = maps[0].layers.iter().map(|l| l.name.as_str()).collect();
+    assert_eq!(names, ["shared", "red"]);
+    check_sum(&first.after, &maps[0]);
+    for layer in 0..2 {
+        check_layer("split", &first.after, &maps, layer, 3e-3);
+    }
+    let steps = [relight("red", Vec3::ZERO, 0.0), relight("red", Vec3::new(0.0, 1.0, 5.0), 2.0)];
+    let (mut world, mut map) = (first.after.clone(), maps[0].clone());
+    for step in steps {
+        let transition = world.apply(&[step]).expect("a relight");
+        let count = Count::default();
+        let new = update(&transition, &map, &budget(16), None, 7, &count).expect("nobody cancels");
+        assert_eq!((count.rays.into_inner(), count.snapshots.into_inner()), (0, 1));
+        check_sum(&transition.after, &new);
+        assert!(Arc::ptr_eq(&new.layers[1], &map.layers[1]), "no layer has changed");
+        (world, map) = (transition.after, new);
+    }
+    // Back at its old strength the light is what it was, bit for bit.
+    let back = world.apply(&[relight("red", Vec3::new(1.0, 0.2, 0.1), 3.0)]).expect("a relight");
+    let back = update(&back, &map, &budget(16), None, 8, &Unobserved).expect("nobody cancels");
+    assert_eq!(back.direct, maps[0].direct);
+    assert_eq!(back.indirect, maps[0].indirect);
+}
+
+#[test]
+fn lights_that_come_go_and_move_touch_their_own_layer_only() {
+    let start = each_alone(&room(0.2));
+    let old = baked(&start, 64, 1);
+    let apply = |world: &World, map: &LightMap, edit: Edit, seed: u64| {
+        let transition = world.apply(&[edit]).expect("an edit");
+        let map = update(&transition, map, &budget(32), None, seed, &Unobserved).expect("nobody cancels");
+        (transition.after, map)
+    };
+    let place = Some(DVec3::new(1.2, 1.0, 2.5));
+    let moved = Edit::MoveLight { light: "red".into(), position: place, direction: None };
+    let (world, map) = apply(&start, &old, moved, 2);
+    let red = map.layers.iter().position(|l| l.name == "red").expect("a layer");
+    for (k, (new, old)) in map.layers.iter().zip(&old.layers).enumerate() {
+        assert_eq!(Arc::ptr_eq(new, old), k != red, "layer {}", new.name);
+    }
+    let maps: Vec<Arc<LightMap>> = (0..8)
+        .map(|seed| {
+            let moved = Edit::MoveLight { light: "red".into(), position: place, direction: None };
+            apply(&start, &old, moved, 20 + seed).1
+        })
+        .collect();
+    check_layer("moved", &world, &maps, red, 3e-3);
+    let (world, map) = apply(&world, &map, bulb("white", [1.5, 0.4, 0.4], 1.0), 3);
+    assert_eq!(map.layers.len(), 5);
+    check_sum(&world, &map);
+    // Removing a light takes its layer away and leaves the others alone, without rays.
+    let transition = world.apply(&[Edit::RemoveLight { light: "white".into() }]).expect("it goes");
+    let count = Count::default();
+    let without = update(&transition, &map, &budget(16), None, 4, &count).expect("nobody cancels");
+    assert_eq!((without.layers.len(), count.rays.into_inner()), (4, 0));
+    check_sum(&transition.after, &without);
+    // Together in one group, at what they shine with now.
+    let group = Edit::GroupLights { group: Some("pair".into()), lights: vec!["red".into(), "green".into()] };
+    let transition = transition.after.apply(&[group]).expect("a group");
+    let count = Count::default();
+    let paired = update(&transition, &without, &budget(16), None, 5, &count).expect("nobody cancels");
+    assert_eq!((paired.layers.len(), count.rays.into_inner()), (3, 0));
+    check_sum(&transition.after, &paired);
+}
+
+#[test]
+fn thirty_edits_leave_every_layer_what_a_bake_gives() {
+    const TURNS: u64 = 30;
+    let start = each_alone(&room(0.2));
+    let run = |seed: u64| {
+        let (mut world, mut map) = (start.clone(), baked(&start, 128, seed));
+        // The same edits in all runs.
+        let mut dice = Pcg32::new(11, 12);
+        for turn in 0..TURNS {
+            let transition = world.apply(&[random_edit(&mut dice, &world, turn)]).expect("an edit");
+            map = update(&transition, &map, &budget(32), None, 1000 * seed + turn, &Unobserved).expect("no cancel");
+            world = transition.after;
+            if world.needs_rebuild() {
+                let trees = world.rebuilt_trees();
+                world = world.with_trees(trees).expect("nothing has changed since");
+            }
+        }
+        (world, map)
+    };
+    let runs: Vec<(World, Arc<LightMap>)> = (0..3).map(run).collect();
+    let maps: Vec<Arc<LightMap>> = runs.iter().map(|r| r.1.clone()).collect();
+    check_sum(&runs[0].0, &maps[0]);
+    assert!(maps[0].layers.len() >= 4);
+    for layer in 0..maps[0].layers.len() {
+        // Thirty times the bias of an edit (a tenth of what the tests of edits allow).
+        check_layer("thirty edits", &runs[0].0, &maps, layer, 1e-2);
+    }
+}
+
+/// An edit of any kind that the world can take.
+fn random_edit(dice: &mut Pcg32, world: &World, turn: u64) -> Edit {
+    let mut number = || dice.next_f32();
+    let (x, z) = (f64::from(0.6 + 1.8 * number()), f64::from(0.6 + 1.8 * number()));
+    let place = DMat4::from_translation(DVec3::new(x, 0.0, z));
+    let albedo = Vec3::new(number(), number(), number()) * 0.6 + 0.2;
+    let has = |name: &str| world.objects().any(|o| o.name == name);
+    let is_lit = |name: &str| world.lights().any(|l| l.light.name == name);
+    match turn % 8 {
+        0 if !has("crate") => Edit::Insert {
+            asset: Arc::new(Scene::from_objects(vec![crate_at("c", 0.0, 0.0, albedo)])),
+            name: "crate".into(),
+            transform: place,
+        },
+        1 if has("crate") => Edit::Move { object: "crate".into(), transform: place },
+        2 => Edit::Material { object: "back".into(), albedo },
+        3 => relight("green", albedo, 0.5 + number()),
+        4 if !is_lit("white") => bulb("white", [x, 1.4, z], 0.8),
+        5 => Edit::MoveLight { light: "blue".into(), position: Some(DVec3::new(x, 0.9, z)), direction: None },
+        6 if is_lit("white") => Edit::RemoveLight { light: "white".into() },
+        7 if has("crate") => Edit::Remove { objects: vec!["crate".into()] },
+        _ => relight("lamp", albedo, 8.0),
+    }
+}
