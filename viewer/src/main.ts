@@ -370,7 +370,7 @@ setInterval(() => {
   $('numbers').textContent = [mesh, stream, stage.frameMs ? `frame ${stage.frameMs.toFixed(0)} ms` : ''].filter(Boolean).join(' · ');
 }, 500);
 // For the console and for tests.
-Object.assign(window, { rebake: { stage, map, api, state: () => ({ scene, version, jobs, exposure: views.exposure, view: views.current }) } });
+Object.assign(window, { rebake: { stage, map, relighting, api, state: () => ({ scene, version, jobs, exposure: views.exposure, view: views.current }) } });
 
 buttons();
 panels();

@@ -14,6 +14,11 @@ export class Relighting {
 
   constructor(private readonly map: LightMap) {}
 
+  /** Whether a slider of the selected light acts at once, on a map of this version. */
+  isReady(version: number): boolean {
+    return this.held?.version === version;
+  }
+
   /** Fetches what changed in a light's layer, all of it the first time. */
   async prepare(scene: Scene, light: Light): Promise<void> {
     const layer = own(scene, light);
@@ -39,7 +44,7 @@ export class Relighting {
     if (!layer || this.held?.name !== layer.name || this.held.scene !== scene.id) return false;
     if (!this.drag) {
       // Everything of one version, or the sum is that of nothing.
-      if (scene.version !== version || this.held.version !== version) return false;
+      if (scene.version !== version || !this.isReady(version)) return false;
       if (this.held.values.length !== this.map.current.length) return false;
       this.drag = { base: this.map.current.slice(), weight: layer.weight, layer };
     }

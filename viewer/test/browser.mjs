@@ -246,6 +246,34 @@ try {
   await settled();
   check((await lightOf()).intensity === light.intensity, 'undo restores the light');
 
+  // It has a layer of its own by now: one can look at that alone, and its slider does not wait for the service.
+  const layer = (await lightOf()).layer;
+  await page.selectOption('#view', `layer ${layer}`);
+  await page.waitForFunction(() => window.rebake.state().view.startsWith('layer '));
+  check(patch(await canvas(), [0.5, 0.85]) > 5, 'a layer is shown alone');
+  await page.selectOption('#view', 'full');
+  await page.waitForFunction(() => window.rebake.relighting.isReady(window.rebake.state().version));
+  let release;
+  const held = new Promise((done) => (release = done));
+  await page.route('**/edits', async (route) => {
+    await held;
+    await route.continue();
+  });
+  await slider.fill(String((await slider.evaluate((s) => Math.round(s.max / 8 / s.step) * s.step))));
+  await slider.dispatchEvent('change');
+  await page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))));
+  const early = patch(await canvas(), [0.5, 0.85]);
+  check((await lightOf()).intensity === light.intensity && early < bright - 5, 'the page dims it before the service answers');
+  release();
+  await page.waitForFunction((i) => window.rebake.state().scene.lights[0].intensity < 0.7 * i, light.intensity);
+  await settled();
+  const late = patch(await canvas(), [0.5, 0.85]);
+  check(Math.abs(late - early) < 1, `as the service does (${early.toFixed(1)} and ${late.toFixed(1)})`);
+  await page.unroute('**/edits');
+  await page.keyboard.press('Control+z');
+  await page.waitForFunction((i) => window.rebake.state().scene.lights[0].intensity === i, light.intensity);
+  await settled();
+
   // What the service refuses is said in words.
   await page.setInputFiles('#file', { name: 'no.glb', mimeType: 'model/gltf-binary', buffer: Buffer.from('nothing') });
   await page.locator('#banner').waitFor({ state: 'visible' });
