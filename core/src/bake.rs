@@ -75,7 +75,8 @@ fn bake_headers<V: Value>(
     bake_stack(world, own, &finish, budget, seed, work)
 }
 
-fn bake_stack<V: Value>(
+/// Bakes some layers together; none where no round was run.
+pub(crate) fn bake_stack<V: Value>(
     world: &World,
     weights: &[Vec3],
     finish: &dyn Fn(Stack<V>) -> LightMap,

@@ -11,6 +11,7 @@ use super::{Layer, Stack, correlation, weight_of, whole};
 use crate::job::{Canceled, Observer, Pass, Progress};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
+use crate::scene::Scene;
 use crate::transport::{Value, Work};
 use crate::update::{Goal, Stage, Updated, run_stage};
 use crate::world::{Transition, World};
@@ -83,10 +84,20 @@ impl Update<'_> {
 
     /// Positions in `plan.after` of the layers that rays are needed for.
     fn changed(&self) -> Vec<usize> {
+        if self.changes_surfaces() { (0..self.plan.after.len()).collect() } else { self.plan.changed.clone() }
+    }
+
+    fn changes_surfaces(&self) -> bool {
         let transition = self.transition;
-        let everything =
-            transition.moves_geometry() || !transition.new_rows.is_empty() || transition.repaints_anything();
-        if everything { (0..self.plan.after.len()).collect() } else { self.plan.changed.clone() }
+        transition.moves_geometry() || !transition.new_rows.is_empty() || transition.repaints_anything()
+    }
+
+    /// Whether all lights of a layer are new, or were moved.
+    fn is_all_new(&self, place: usize) -> bool {
+        let find = |scene: &Scene, name: &str| scene.lights.iter().find(|l| l.name == name).map(|l| l.kind.clone());
+        let (before, after) = (&self.transition.before.scene, &self.transition.after.scene);
+        let (header, _) = &self.plan.after[place];
+        header.lights.iter().all(|light| find(before, &light.name) != find(after, &light.name))
     }
 
     /// The old light, at reference strength, of the lights of `plan.leaving`.
@@ -112,8 +123,7 @@ impl Update<'_> {
         let quiet = Work::new(&quiet);
         let work = if publishes { self.work } else { &quiet };
         let goal = Goal { focus: None, seed: subseed(self.goal.seed, 0x1ea), ..*self.goal };
-        let around: Vec<Vec3> = (0..self.map.len()).map(|slot| self.map.total(slot)).collect();
-        let layers = Layers { headers, weights, around, adds: false };
+        let layers = Layers { headers, weights, around: Vec::new(), from_scratch: true };
         with_layers!(layers.headers.len(), leaving(&still, &layers, &goal, work, finish))
     }
 
@@ -192,6 +202,7 @@ impl Update<'_> {
             old_headers.push(origin.map_or(&nothing, |index| &self.plan.regrouped[index].header));
             old.push(origin.map_or_else(black, |index| regrouped[index].clone()));
         }
+        let from_scratch = !self.changes_surfaces() && changed.iter().all(|&k| self.is_all_new(k));
         let all = changed.len() == self.plan.after.len();
         let own: Vec<Vec3> = changed.iter().map(|&k| weights[k]).collect();
         let stage = Transition {
@@ -220,7 +231,7 @@ impl Update<'_> {
         };
         let around = transition.carry_over(self.map);
         let around: Vec<Vec3> = (0..around.len()).map(|slot| around.total(slot)).collect();
-        let layers = Layers { headers, weights: own, around, adds: true };
+        let layers = Layers { headers, weights: own, around, from_scratch };
         with_layers!(changed.len(), change(&stage, &old, &self.map.variance, &layers, self.goal, self.work, &finish))
     }
 }
@@ -231,8 +242,8 @@ struct Layers<'a> {
     weights: Vec<Vec3>,
     /// All light of the old map, direct + indirect, in the slots of the stage's new world.
     around: Vec<Vec3>,
-    /// The stage's change is not in `around`.
-    adds: bool,
+    /// No light of theirs stays as it was.
+    from_scratch: bool,
 }
 
 /// `finish` takes the layers so far; answers the last map and the layers, none where no round was run.
@@ -254,7 +265,8 @@ fn leaving<V: Value>(
         transition: still,
         old: Stack::<V>::black(still.before.slots(), layers.headers.len()),
         weights: &weights,
-        around: Some((&layers.around, layers.adds)),
+        around: None,
+        from_scratch: true,
         finish: &keep,
     };
     let updated = run_stage(stage, goal, work)?;
@@ -275,8 +287,14 @@ fn change<V: Value>(
     let keep = |stack: &Stack<V>| finish(stack.to_layers(&layers.headers), several.then(|| stack.variance.clone()));
     let weights = own_weights(&layers.weights);
     let old = Stack::<V>::of_layers(old, variance, transition.before.slots());
-    let stage =
-        Stage { transition, old, weights: &weights, around: Some((&layers.around, layers.adds)), finish: &keep };
+    let stage = Stage {
+        transition,
+        old,
+        weights: &weights,
+        around: Some(&layers.around),
+        from_scratch: layers.from_scratch,
+        finish: &keep,
+    };
     run_stage(stage, goal, work)
 }
 

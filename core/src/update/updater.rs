@@ -183,10 +183,7 @@ impl<'a, V: Value> Updater<'a, V> {
         for &slot in &self.static_rows {
             let slot = slot as usize;
             let delta = (direct[slot] + indirect[slot]).weighted(weights);
-            let then = match self.stage.around {
-                Some((around, adds)) => around[slot] + if adds { delta } else { Vec3::ZERO },
-                None => self.old_total[slot].weighted(weights) + delta,
-            };
+            let then = self.stage.around.map_or_else(|| self.old_total[slot].weighted(weights), |a| a[slot]) + delta;
             change += f64::from(areas[slot]) * f64::from(delta.length_squared());
             left += f64::from(areas[slot]) * f64::from(then.length_squared());
         }
