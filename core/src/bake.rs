@@ -29,7 +29,7 @@ const ROUGH_SAMPLES: u32 = 4;
 pub fn bake(world: &World, budget: &Budget, seed: u64, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
     let work = Work::new(observer);
     let seed = subseed(seed, 0xba6e);
-    let map = bake_layers(world, groups_of(&world.scene), &|map| map, budget, seed, &work)?;
+    let map = bake_layers(world, &groups_of(&world.scene), &|map| map, budget, seed, &work)?;
     Ok(map.unwrap_or_else(|| Arc::new(LightMap::black(world.slots()))))
 }
 
@@ -37,7 +37,7 @@ pub fn bake(world: &World, budget: &Budget, seed: u64, observer: &dyn Observer) 
 /// what is published of what was baked so far, once its variance is known.
 pub(crate) fn bake_layers(
     world: &World,
-    headers: Vec<Header>,
+    headers: &[Header],
     improve: &dyn Fn(LightMap) -> LightMap,
     budget: &Budget,
     seed: u64,

@@ -142,23 +142,23 @@ impl Plan {
         }
         if let Some((target, lights)) = heir {
             let lights = if whole { header.lights.clone() } else { lights };
-            self.join(target, lights, rest, before, header);
+            self.join(&target, lights, rest, before, header);
         }
         for (target, lights, pieces) in others {
-            self.join(target, lights, pieces, before, header);
+            self.join(&target, lights, pieces, before, header);
         }
     }
 
     /// Adds lights, whose light at reference strength is `pieces`, to the layer of their target.
     fn join(
         &mut self,
-        target: Target,
+        target: &Target,
         lights: Vec<LayerLight>,
         pieces: Vec<(Piece, Vec3)>,
         before: &Scene,
         from: &Header,
     ) {
-        let name = match &target {
+        let name = match target {
             Target::Stays => from.name.clone(),
             Target::Group(name) | Target::Alone(name) => name.clone(),
         };
@@ -407,8 +407,10 @@ mod tests {
     #[test]
     fn there_are_never_more_layers_than_fit() {
         let names: Vec<String> = (0..40).map(|i| format!("l{i}")).collect();
-        let strengths = |by: f32| names.iter().enumerate().map(|(i, n)| (n.as_str(), 1.0 + by * i as f32)).collect();
-        let (before, after): (Vec<(&str, f32)>, Vec<(&str, f32)>) = (strengths(0.0), strengths(1.0));
+        let strengths = |by: f32| -> Vec<(&str, f32)> {
+            names.iter().enumerate().map(|(i, n)| (n.as_str(), 1.0 + by * i as f32)).collect()
+        };
+        let (before, after) = (strengths(0.0), strengths(1.0));
         let plan = Plan::new(&scene(&before, &[]), &scene(&after, &[]), &map(&[]));
         assert_eq!(plan.after.len(), MAX_LAYERS);
         let mut held: Vec<&str> =

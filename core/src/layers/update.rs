@@ -67,7 +67,9 @@ impl Update<'_> {
                 let regrouped = self.regroup(&leaving);
                 whole(self.unchanged(&regrouped), &weights, correlation)
             };
-            let Some((updated, leaving)) = self.compute_leaving(changed.is_empty(), &finish)? else { return Ok(None) };
+            let Some(Leaving { updated, layers: leaving }) = self.compute_leaving(changed.is_empty(), &finish)? else {
+                return Ok(None);
+            };
             if changed.is_empty() {
                 return Ok(Some(updated));
             }
@@ -105,7 +107,7 @@ impl Update<'_> {
         &self,
         publishes: bool,
         finish: &dyn Fn(Vec<Arc<Layer>>) -> LightMap,
-    ) -> Result<Option<(Updated, Vec<Arc<Layer>>)>, Canceled> {
+    ) -> Result<Option<Leaving>, Canceled> {
         let world = &self.transition.before;
         let headers: Vec<&Header> = self.plan.leaving.iter().collect();
         let weights: Vec<Vec3> =
@@ -236,6 +238,12 @@ impl Update<'_> {
     }
 }
 
+/// Light of lights that leave their layer.
+struct Leaving {
+    updated: Updated,
+    layers: Vec<Arc<Layer>>,
+}
+
 /// The layers that a stage computes.
 struct Layers<'a> {
     headers: Vec<&'a Header>,
@@ -253,7 +261,7 @@ fn leaving<V: Value>(
     goal: &Goal,
     work: &Work,
     finish: &dyn Fn(Vec<Arc<Layer>>) -> LightMap,
-) -> Result<Option<(Updated, Vec<Arc<Layer>>)>, Canceled> {
+) -> Result<Option<Leaving>, Canceled> {
     let last = RefCell::new(Vec::new());
     let keep = |stack: &Stack<V>| {
         let computed = stack.to_layers(&layers.headers);
@@ -270,7 +278,7 @@ fn leaving<V: Value>(
         finish: &keep,
     };
     let updated = run_stage(stage, goal, work)?;
-    Ok(updated.map(|updated| (updated, last.take())))
+    Ok(updated.map(|updated| Leaving { updated, layers: last.take() }))
 }
 
 /// `finish` takes the layers so far, and the variance of their weighted sum where there are several.

@@ -27,6 +27,8 @@ pub enum Method {
     },
     /// Update of the old map: [`rebake_core::update`].
     Rebake,
+    /// The same through the service, over loopback: [`super::run_service`].
+    Service,
 }
 
 /// When a run ends.
@@ -62,6 +64,7 @@ impl Method {
             Method::Cached => "cached",
             Method::Paper { .. } => "paper",
             Method::Rebake => "rebake",
+            Method::Service => "service",
         }
     }
 }
@@ -178,7 +181,7 @@ pub fn run_method(method: Method, case: &PreparedCase, base: &LightMap, goal: Go
     let clock = Clock::start(goal);
     let budget = Budget { samples_per_element: goal.samples(), target_rmse: None };
     match method {
-        Method::Paper { .. } => {}
+        Method::Paper { .. } | Method::Service => {}
         Method::PathTrace => return Some(trace_whole(&case.after, goal, seed)),
         // Nobody cancels: what is dropped is the map that the clock has, too.
         Method::Cached => drop(bake(&case.after, &budget, seed, &clock)),

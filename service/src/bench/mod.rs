@@ -6,6 +6,7 @@ mod plot;
 mod reference;
 mod report;
 mod run;
+mod service;
 
 pub use cases::{Case, CaseKind, EditFile, PreparedCase};
 pub use methods::{Goal, Method, Timed, run_method};
@@ -14,6 +15,7 @@ pub use rebake_core::paper::Equation;
 pub use reference::{Measured, Reference};
 pub use report::{BaseReport, CaseReport, ReferenceReport, Report, RunReport};
 pub use run::{Options, Watcher, run};
+pub use service::run_service;
 
 /// Which part of the light map errors are measured on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]

@@ -112,7 +112,7 @@ impl Axis {
 fn panel(out: &mut String, case: &CaseReport, labels: &[String], mode: Mode) {
     let xs = Axis::over(case.runs.iter().map(|r| r.seconds), WIDTH);
     let noise = case.reference.rmse_noise;
-    let errors = case.runs.iter().map(|r| r.rmse).chain([case.no_update_rmse, noise]);
+    let errors = case.runs.iter().map(|r| r.rmse).chain(case.no_update_rmse).chain([noise]);
     let ys = Axis::over(errors, HEIGHT);
     let y_of = |v: f64| HEIGHT - ys.at(v);
     let _ = writeln!(
@@ -123,7 +123,8 @@ fn panel(out: &mut String, case: &CaseReport, labels: &[String], mode: Mode) {
         100.0 * case.edited_share
     );
     grid(out, &xs, &ys, mode);
-    for (value, text, dash) in [(case.no_update_rmse, "no update", "7 4"), (noise, "noise of the reference", "2 4")] {
+    let untouched = case.no_update_rmse.unwrap_or(0.0);
+    for (value, text, dash) in [(untouched, "no update", "7 4"), (noise, "noise of the reference", "2 4")] {
         if value > 0.0 {
             let y = y_of(value);
             let _ = writeln!(

@@ -85,6 +85,18 @@ impl Reference {
         self.over_elements(|k| (self.truth(0, k, mode) + self.truth(1, k, mode)).element_sum() / 6.0).mean
     }
 
+    /// Standard error of [`Reference::mean`] from its paths: from what the halves differ by, element by element.
+    pub fn mean_noise(&self, mode: Mode) -> f64 {
+        let difference = |k| (self.truth(0, k, mode) - self.truth(1, k, mode)).element_sum() / 6.0;
+        let square = self.over_elements(|k| difference(k) * difference(k)).mean;
+        (square / self.slots.len() as f64).sqrt()
+    }
+
+    /// Mean of a light map over the reference's elements: area-weighted, over RGB.
+    pub fn mean_of(&self, map: &LightMap, mode: Mode) -> f64 {
+        self.over_elements(|k| value(map, self.slots[k] as usize, mode).element_sum() / 3.0).mean
+    }
+
     /// Area-weighted mean square error over RGB of a light map.
     pub fn mean_square_error(&self, map: &LightMap, mode: Mode) -> Measured {
         self.product(map, map, mode)

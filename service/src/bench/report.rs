@@ -37,8 +37,10 @@ pub struct CaseReport {
     pub reference: ReferenceReport,
     /// The light map before the edit.
     pub base: BaseReport,
-    /// RMSE of the old light map in the scene after the edit, new elements black.
-    pub no_update_rmse: f64,
+    /// RMSE of the old light map in the scene after the edit, new elements black. Absent where only the service's runs
+    /// were measured, which bakes its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub no_update_rmse: Option<f64>,
     /// One entry per method and budget.
     pub runs: Vec<RunReport>,
 }
@@ -71,7 +73,7 @@ pub struct BaseReport {
 /// One method at one budget: medians over the seeds.
 #[derive(Clone, Debug, Serialize)]
 pub struct RunReport {
-    /// `path-trace`, `cached`, `paper` or `rebake`.
+    /// `path-trace`, `cached`, `paper`, `rebake` or `service`.
     pub method: String,
     /// What the run was given, where that was time.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -85,6 +87,10 @@ pub struct RunReport {
     pub samples_per_element: u32,
     /// Rays traced.
     pub rays: u64,
+    /// Mean of the map over that of the reference, on the reference's elements.
+    pub mean_ratio: f64,
+    /// Standard error of `mean_ratio` from the reference's paths.
+    pub mean_error: f64,
     /// RMSE, the reference's own noise taken out; 0 where that hides it.
     pub rmse: f64,
     /// Standard error of `rmse` from the reference's noise and the drawing of elements.

@@ -1,13 +1,14 @@
 //! Runs all methods on all cases and measures them.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use anyhow::{Context, Result, ensure};
 use rebake_core::scene::Scene;
 use rebake_core::{Budget, LightMap, Unobserved, World, WorldOptions, bake};
 
 use super::report::{BaseReport, CaseReport, ReferenceReport, Report, RunReport};
-use super::{Case, EditFile, Goal, Method, Mode, PreparedCase, Reference, Timed, run_method};
+use super::{Case, EditFile, Goal, Method, Mode, PreparedCase, Reference, Timed, run_method, run_service};
 
 /// What to run, and how long.
 #[derive(Clone, Debug)]
@@ -83,8 +84,13 @@ fn run_case(case: &PreparedCase, options: &Options, watcher: &mut dyn Watcher) -
     let mode = options.mode;
     watcher.step(&case.name, "light map before the edit");
     let budget = Budget { samples_per_element: options.base_samples, target_rmse: None };
-    let base = bake(&case.before, &budget, options.seed ^ 0xba5e_0000_0000, &Unobserved)?;
-    let base_rmse = options.measure_base.then(|| {
+    // The service bakes its own.
+    let only_service = options.methods.iter().all(|m| *m == Method::Service);
+    let base = match only_service {
+        true => Arc::new(LightMap::black(case.before.slots())),
+        false => bake(&case.before, &budget, options.seed ^ 0xba5e_0000_0000, &Unobserved)?,
+    };
+    let base_rmse = (options.measure_base && !only_service).then(|| {
         watcher.step(&case.name, "its error");
         let truth = Reference::trace(&case.before, options.reference_elements, options.reference_samples, options.seed);
         truth.mean_square_error(&base, mode).root()
@@ -98,9 +104,13 @@ fn run_case(case: &PreparedCase, options: &Options, watcher: &mut dyn Watcher) -
             let timed: Vec<Timed> = (0..options.seeds)
                 .filter_map(|k| {
                     watcher.step(&case.name, &format!("{}, {}, run {}", method.name(), goal.describe(), k + 1));
-                    run_method(method, case, &base, goal, options.seed.wrapping_add(u64::from(k)))
+                    match method {
+                        Method::Service => run_service(case, options.base_samples, goal, mode).map(Some),
+                        _ => Ok(run_method(method, case, &base, goal, options.seed.wrapping_add(u64::from(k)))),
+                    }
+                    .transpose()
                 })
-                .collect();
+                .collect::<Result<_>>()?;
             if !timed.is_empty() {
                 runs.push(summarize(method, goal, &timed, &reference, mode));
             }
@@ -118,7 +128,7 @@ fn run_case(case: &PreparedCase, options: &Options, watcher: &mut dyn Watcher) -
             mean: reference.mean(mode),
         },
         base: BaseReport { method: "bake", samples_per_element: options.base_samples, rmse: base_rmse },
-        no_update_rmse: reference.mean_square_error(&untouched, mode).root(),
+        no_update_rmse: (!only_service).then(|| reference.mean_square_error(&untouched, mode).root()),
         runs,
     })
 }
@@ -141,6 +151,8 @@ fn summarize(method: Method, goal: Goal, timed: &[Timed], reference: &Reference,
         cpu_seconds: cpu.map(median),
         samples_per_element: of(&|t| f64::from(t.samples)) as u32,
         rays: of(&|t| t.rays as f64) as u64,
+        mean_ratio: median(timed.iter().map(|t| reference.mean_of(&t.map, mode)).collect()) / reference.mean(mode),
+        mean_error: reference.mean_noise(mode) / reference.mean(mode),
         rmse: median(errors.iter().map(|e| e.root()).collect()),
         rmse_error: median(errors.iter().map(|e| e.root_error()).collect()),
         bias_floor: bias.map(|b| b.root()),
@@ -190,6 +202,8 @@ mod tests {
             cpu_seconds: None,
             samples_per_element: 1,
             rays: 1,
+            mean_ratio: 1.0,
+            mean_error: 0.0,
             rmse,
             rmse_error: 0.0,
             bias_floor: None,

@@ -26,6 +26,7 @@ reference's own noise is taken out. The bias floor is what independent runs of a
 report a plot of the same name is written, ending in .svg.
   rebake bench -o report.json
   rebake bench room.glb room.edits.json -o report.json
+  rebake bench room.glb room.edits.json --methods service --samples 32 -o service.json
   rebake bench room.glb room.edits.json --cases sofa --mode indirect --budget-seconds 0.5,2,8 -o report.json
   rebake bench room.glb room.edits.json --samples 4,16,64,256 -o sweep.json
   rebake bench room.glb room.edits.json --methods paper --iterations 1,2,4,8 --samples 256 -o over-n.json
@@ -111,6 +112,8 @@ enum MethodName {
     Paper,
     /// Update of the old light map
     Rebake,
+    /// The same through the service over loopback: bake of the scene before, POST of the edit, download
+    Service,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -163,6 +166,7 @@ impl BenchArgs {
             MethodName::Cached => vec![Method::Cached],
             MethodName::Paper => published.clone(),
             MethodName::Rebake => vec![Method::Rebake],
+            MethodName::Service => vec![Method::Service],
         };
         self.methods.iter().flat_map(of).collect()
     }
@@ -264,19 +268,21 @@ fn print_head(report: &Report) -> anyhow::Result<()> {
     ))
 }
 
-const HEADINGS: [&str; 11] =
-    ["method", "time", "CPU", "samples", "rays", "RMSE", "±", "bias", "stated", "gain", "by CPU"];
+const HEADINGS: [&str; 12] =
+    ["method", "time", "CPU", "samples", "rays", "mean", "RMSE", "±", "bias", "stated", "gain", "by CPU"];
 
 fn print_case(case: &CaseReport) -> anyhow::Result<()> {
-    let widths: Vec<usize> = [18, 7, 7, 7, 7, 7, 7, 7, 7, 6, 6].to_vec();
+    let widths: Vec<usize> = [18, 7, 7, 7, 7, 7, 7, 7, 7, 7, 6, 6].to_vec();
     let table = ui::Table::new(&HEADINGS, &widths);
     ui::out("")?;
     let edited = format!("{:.1} % of the area", 100.0 * case.edited_share);
     ui::out(&format!("{}, {edited}, {} elements", ui::bold(&case.name), ui::count(case.elements as u64)))?;
     ui::out(&ui::faint(&table.row(&HEADINGS)))?;
     let value = |x: Option<f64>| x.map_or_else(|| "–".to_owned(), ui::rmse);
-    let line = |name: &str, rmse: f64| table.row(&[name, "", "", "", "", &ui::rmse(rmse)]);
-    ui::out(&line("no update", case.no_update_rmse))?;
+    let line = |name: &str, rmse: f64| table.row(&[name, "", "", "", "", "", &ui::rmse(rmse)]);
+    if let Some(rmse) = case.no_update_rmse {
+        ui::out(&line("no update", rmse))?;
+    }
     if let Some(rmse) = case.base.rmse {
         ui::out(&line("before the edit", rmse))?;
     }
@@ -288,6 +294,7 @@ fn print_case(case: &CaseReport) -> anyhow::Result<()> {
             run.cpu_seconds.map_or_else(|| "–".to_owned(), ui::seconds),
             run.samples_per_element.to_string(),
             ui::short(run.rays as f64),
+            format!("{:.4}", run.mean_ratio),
             ui::rmse(run.rmse),
             ui::rmse(run.rmse_error),
             bias(run),
