@@ -2,7 +2,7 @@
 //!
 //! A closed room of 6 × 3 × 6 m with 16 lamps in a grid below its ceiling and some boxes. Prints, in alternating runs, the
 //! time of a bake and of an insert with 1, 3, 8 and 16 layers over that with none, over that many separate solutions, and
-//! the time of a relight beside that of reading all layers' bytes once.
+//! the time of a relight beside that of reading all layers' bytes once, and the frames per second of a dragged light.
 #![allow(clippy::print_stdout)]
 
 use std::hint::black_box;
@@ -10,8 +10,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use glam::{DMat4, DVec3, Vec3};
-use rebake_core::scene::{Material, Mesh, Object, Scene};
-use rebake_core::{Budget, Edit, LightMap, Relight, Unobserved, World, WorldOptions, bake, update};
+use rebake_core::scene::{LightKind, Material, Mesh, Object, Scene};
+use rebake_core::{Budget, DragBasis, Edit, LightMap, Relight, Unobserved, World, WorldOptions, bake, update};
 
 /// Runs of each; the median counts.
 const RUNS: usize = 5;
@@ -56,6 +56,33 @@ fn main() {
     for (layers, world) in worlds.iter().filter(|(k, _)| *k > 1) {
         relights(*layers, world);
     }
+    drag(&plain);
+}
+
+/// Frames per second of a bulb that is dragged through the room.
+fn drag(world: &World) {
+    let kind = LightKind::Point { position: DVec3::new(3.0, 1.5, 3.0), range: None };
+    let bulb = Edit::InsertLight { name: "bulb".into(), kind, color: Vec3::ONE, intensity: 2.0 };
+    let group = Edit::GroupLights { group: Some("bulb".into()), lights: vec!["bulb".into()] };
+    let world = world.apply(&[bulb, group]).expect("a bulb").after;
+    let map = bake(&world, &Budget { samples_per_element: 4, ..BUDGET }, 1, &Unobserved).expect("nobody cancels");
+    let (built, basis) = timed(|| DragBasis::new(&world, 1, &Unobserved).expect("nobody cancels"));
+    let mut seconds = Vec::new();
+    for k in 0..20 {
+        let position = Some(DVec3::new(1.0 + 0.2 * f64::from(k), 1.2, 2.0));
+        let step = Edit::MoveLight { light: "bulb".into(), position, direction: None };
+        let (time, frame) = timed(|| {
+            let transition = world.apply(&[step]).expect("a move");
+            basis.frame(&transition, &map, 1, &Unobserved).expect("nobody cancels")
+        });
+        assert!(frame.is_some(), "a light of its own layer has frames");
+        seconds.push(time);
+    }
+    let bytes = basis.memory_bytes() / world.element_count();
+    println!(
+        "drag: basis {built:.3} s, {bytes} bytes per element; {:.1} frames per second",
+        1.0 / median(&mut seconds)
+    );
 }
 
 /// Times of relights of one layer, and of reading all layers.

@@ -95,7 +95,7 @@ pub(crate) struct Baker<'a> {
     world: &'a World,
     slots: Vec<u32>,
     subset: Subset,
-    rows: Rows,
+    rows: Arc<Rows>,
     rough: OnceCell<Rough>,
     /// What each layer weighs in the whole.
     weights: &'a [Vec3],
@@ -106,7 +106,7 @@ pub(crate) struct Baker<'a> {
 impl<'a> Baker<'a> {
     pub(crate) fn new(world: &'a World, weights: &'a [Vec3], seed: u64, work: &'a Work<'a>) -> Baker<'a> {
         let subset = Subset::new(world);
-        let (slots, rows) = (world.computed_slots(), Rows::all(&subset));
+        let (slots, rows) = (world.computed_slots(), Arc::new(Rows::all(&subset)));
         Baker { world, slots, subset, rows, rough: OnceCell::new(), weights, seed: subseed(seed, 0x4006), work }
     }
 
@@ -148,7 +148,7 @@ impl<'a> Baker<'a> {
     }
 
     /// All bounces of the direct light, on the subset and interpolated to all slots.
-    fn solve<V: Value>(&self, direct: &[V], round: &Round<V>) -> Result<(Exchange<'_, V>, Vec<V>), Canceled> {
+    fn solve<V: Value>(&self, direct: &[V], round: &Round<V>) -> Result<(Exchange<V>, Vec<V>), Canceled> {
         let world = self.world;
         let field = Field { total: direct, direct, rough: self.rough::<V>()? };
         let source = |_: u32, s: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64| {

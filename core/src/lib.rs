@@ -7,6 +7,7 @@ mod accumulate;
 mod bake;
 pub mod bvh;
 pub mod delta;
+mod drag;
 pub mod edit;
 pub mod export;
 mod focus;
@@ -29,6 +30,7 @@ mod update;
 mod world;
 
 pub use bake::bake;
+pub use drag::DragBasis;
 pub use edit::{Edit, EditError, EditErrorKind, Relight};
 pub use focus::Focus;
 pub use job::{Budget, Canceled, Observer, Pass, Progress, Unobserved};

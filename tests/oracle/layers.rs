@@ -7,7 +7,9 @@ use glam::{DMat4, DVec3, Vec3};
 use rebake_core::layers::Layer;
 use rebake_core::random::Pcg32;
 use rebake_core::scene::{Light, LightKind, Scene};
-use rebake_core::{Budget, Edit, LightMap, Observer, Progress, Relight, Unobserved, World, WorldOptions, bake, update};
+use rebake_core::{
+    Budget, DragBasis, Edit, LightMap, Observer, Progress, Relight, Unobserved, World, WorldOptions, bake, update,
+};
 
 use super::scenes::{crate_at, room_objects, world};
 use super::statistics::{area_mean, assert_agrees, replicate};
@@ -240,4 +242,43 @@ fn random_edit(dice: &mut Pcg32, world: &World, turn: u64) -> Edit {
         7 if has("crate") => Edit::Remove { objects: vec!["crate".into()] },
         _ => relight("lamp", albedo, 8.0),
     }
+}
+
+#[test]
+fn a_dragged_light_has_frames_near_the_exact_update() {
+    let start = each_alone(&room(0.1));
+    let map = baked(&start, 64, 1);
+    let basis = DragBasis::new(&start, 2, &Unobserved).expect("nobody cancels");
+    assert!(basis.fits(&start) && basis.memory_bytes() > 0);
+    let moved = |light: &str, place: [f64; 3]| Edit::MoveLight {
+        light: light.into(),
+        position: Some(DVec3::from_array(place)),
+        direction: None,
+    };
+    let transition = start.apply(&[moved("red", [1.9, 1.1, 1.3])]).expect("a move");
+    let count = Count::default();
+    let frame = basis.frame(&transition, &map, 3, &count).expect("nobody cancels").expect("a frame");
+    check_sum(&transition.after, &frame);
+    let red = frame.layers.iter().position(|l| l.name == "red").expect("a layer");
+    let others = |m: &LightMap| -> Vec<Arc<Layer>> { m.layers.iter().filter(|l| l.name != "red").cloned().collect() };
+    assert!(others(&frame).iter().zip(others(&map)).all(|(a, b)| Arc::ptr_eq(a, &b)));
+    // A bulb's direct light is exact; the rest leaves out a little light in corners, and what is finer than its subset.
+    let exact = baked(&alone(&transition.after, &frame.layers[red]), 256, 4);
+    let mean = |values: &Vec<Vec3>| area_mean(&transition.after, |_| true, |i| values[i].as_dvec3());
+    let (frame, old) = (&frame.layers[red], &map.layers[red]);
+    assert!((mean(&frame.direct) / mean(&exact.direct) - 1.0).abs() < 1e-4);
+    let ratio = mean(&frame.indirect) / mean(&exact.indirect);
+    let error = |values: &Vec<Vec3>| {
+        area_mean(&transition.after, |_| true, |i| (values[i] - exact.indirect[i]).as_dvec3().powf(2.0)).sqrt()
+    };
+    let (off, without) = (error(&frame.indirect), error(&old.indirect));
+    assert!((0.93..1.03).contains(&ratio), "indirect light of the frame is {ratio:.4} of a bake's");
+    assert!(off < 0.3 * without, "off by {off}, by {without} without the frame");
+    // Other edits have no frames.
+    for edit in [relight("green", Vec3::ONE, 2.0), Edit::Remove { objects: vec!["block".into()] }] {
+        let transition = start.apply(&[edit]).expect("an edit");
+        assert!(basis.frame(&transition, &map, 3, &Unobserved).expect("nobody cancels").is_none());
+    }
+    let elsewhere = start.apply(&[Edit::Material { object: "back".into(), albedo: Vec3::ZERO }]).expect("paint").after;
+    assert!(!basis.fits(&elsewhere));
 }

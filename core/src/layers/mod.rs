@@ -20,7 +20,7 @@ use crate::world::{Emitters, World};
 
 pub(crate) use plan::{Header, groups_of, headers_of_layers};
 pub(crate) use stack::Stack;
-pub(crate) use update::{update_layers, with_layers};
+pub(crate) use update::{moved_layers, update_layers, with_layers};
 
 /// A map has at most so many layers. Where more lights are relit one by one, those that are left share a layer.
 pub const MAX_LAYERS: usize = 16;
@@ -131,6 +131,13 @@ pub(crate) fn whole(layers: Vec<Arc<Layer>>, weights: &[Vec3], correlation: f64)
         }
     });
     LightMap { direct, indirect, variance, layers }
+}
+
+/// The map of layers that take the place of those of `old`, one by one, with the weights of `after`.
+pub(crate) fn whole_of(layers: Vec<Arc<Layer>>, old: &LightMap, before: &Scene, after: &Scene) -> LightMap {
+    let correlation = correlation(old, &old.layer_weights(before));
+    let weights: Vec<Vec3> = layers.iter().map(|layer| weight_of(&layer.lights, after).unwrap_or(Vec3::ONE)).collect();
+    whole(layers, &weights, correlation)
 }
 
 /// Slots per task: two parts of it fit in the cache.

@@ -46,6 +46,32 @@ pub(crate) fn update_layers(
     Some(update.run())
 }
 
+/// Positions of the layers of a map whose lights all move, where an edit does nothing else, with their headers after it.
+pub(crate) fn moved_layers(transition: &Transition, map: &LightMap) -> Option<Vec<(usize, Header)>> {
+    let observer = crate::job::Unobserved;
+    let budget = crate::job::Budget { samples_per_element: 0, target_rmse: None };
+    let (before, after) = (&transition.before.scene, &transition.after.scene);
+    if map.layers.is_empty() {
+        return None;
+    }
+    let update = Update {
+        transition,
+        map,
+        goal: &Goal { budget: &budget, focus: None, seed: 0 },
+        work: &Work::new(&observer),
+        plan: Plan::new(before, after, map),
+    };
+    let plan = &update.plan;
+    let same_layers = plan.leaving.is_empty()
+        && plan.after.len() == map.layers.len()
+        && plan.after.iter().enumerate().all(|(k, (header, origin))| {
+            *origin == Some(k) && header.name == map.layers[k].name && header.lights == map.layers[k].lights
+        });
+    let only_moves = same_layers && !update.changes_surfaces() && plan.changed.iter().all(|&k| update.is_all_new(k));
+    let header = |&k: &usize| (k, plan.after[k].0.clone());
+    (only_moves && !plan.changed.is_empty()).then(|| plan.changed.iter().map(header).collect())
+}
+
 struct Update<'a> {
     transition: &'a Transition,
     map: &'a LightMap,

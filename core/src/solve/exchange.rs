@@ -5,6 +5,8 @@
 //! but the first. A bounce's look-up is interpolated from a few elements, each from a few representatives; an entry
 //! takes one of them, with their weight as probability.
 
+use std::sync::Arc;
+
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -76,8 +78,8 @@ impl Rows {
 }
 
 /// A sampled transport matrix and the first gather of a source along its rays.
-pub(crate) struct Exchange<'a, V> {
-    rows: &'a Rows,
+pub(crate) struct Exchange<V> {
+    rows: Arc<Rows>,
     samples: usize,
     /// `samples` entries a row.
     entries: Vec<Entry>,
@@ -85,17 +87,17 @@ pub(crate) struct Exchange<'a, V> {
     pub first: Vec<V>,
 }
 
-impl<'a, V: Value> Exchange<'a, V> {
+impl<V: Value> Exchange<V> {
     /// Traces `samples` paths from every row, to the first surface that can be looked up (near-field rule).
     pub(crate) fn trace<F: Fn(u32, &Surfel, bool, &mut Pcg32, &mut u64) -> V + Sync>(
-        world: &'a World,
+        world: &World,
         subset: &Subset,
-        rows: &'a Rows,
+        rows: &Arc<Rows>,
         source: &Source<F, V>,
         samples: u32,
         seed: u64,
         work: &Work,
-    ) -> Result<Exchange<'a, V>, Canceled> {
+    ) -> Result<Exchange<V>, Canceled> {
         let samples = samples.max(1) as usize;
         let mut entries = vec![Entry { row: NONE, element: NONE, weight: Vec3::ZERO }; rows.members.len() * samples];
         let mut first = vec![V::default(); rows.members.len()];
@@ -111,7 +113,12 @@ impl<'a, V: Value> Exchange<'a, V> {
             work.count(rays);
             Ok(())
         })?;
-        Ok(Exchange { rows, samples, entries, first })
+        Ok(Exchange { rows: Arc::clone(rows), samples, entries, first })
+    }
+
+    /// Bytes that it holds.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        self.entries.len() * size_of::<Entry>() + self.first.len() * size_of::<V>()
     }
 
     /// T̂ x.

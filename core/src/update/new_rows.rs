@@ -1,5 +1,7 @@
 //! Elements without an old value: gathered from the old light, with the new direct light, and from one another.
 
+use std::sync::Arc;
+
 use super::updater::Updater;
 use crate::job::Canceled;
 use crate::random::{Pcg32, subseed};
@@ -48,7 +50,7 @@ impl<V: Value> Updater<'_, V> {
     fn self_passes(&self, seed: u64, own_direct: &[V], field: &mut [V]) -> Result<(), Canceled> {
         let (world, slots) = (self.world, &self.transition.new_rows);
         let is_new = self.new_flags();
-        let rows = Rows::only(&self.subset, |slot| is_new[slot as usize]);
+        let rows = Arc::new(Rows::only(&self.subset, |slot| is_new[slot as usize]));
         let rough = Rough::default();
         let light = Field { total: field, direct: field, rough: &rough };
         let source = |_: u32, s: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64| {

@@ -1,6 +1,7 @@
 //! One stage of an update: the change of some layers, round by round.
 
 use std::cell::RefCell;
+use std::sync::Arc;
 
 use glam::Vec3;
 
@@ -50,7 +51,7 @@ pub(super) struct Updater<'a, V> {
     /// Computed elements that keep an old value.
     static_rows: Vec<u32>,
     pub(super) subset: Subset,
-    rows: Rows,
+    rows: Arc<Rows>,
     source: source::Source<'a>,
     direct: direct::DirectChange<'a>,
     /// Change of albedo per part of the new world.
@@ -76,7 +77,7 @@ impl<'a, V: Value> Updater<'a, V> {
             old_total: old.total(),
             before_total,
             old,
-            rows: Rows::all(&subset),
+            rows: Arc::new(Rows::all(&subset)),
             source: source::Source::new(transition),
             static_rows,
             subset,

@@ -104,9 +104,10 @@ fn run_case(case: &PreparedCase, options: &Options, watcher: &mut dyn Watcher) -
             let timed: Vec<Timed> = (0..options.seeds)
                 .filter_map(|k| {
                     watcher.step(&case.name, &format!("{}, {}, run {}", method.name(), goal.describe(), k + 1));
+                    let seed = options.seed.wrapping_add(u64::from(k));
                     match method {
-                        Method::Service => run_service(case, options.base_samples, goal, mode).map(Some),
-                        _ => Ok(run_method(method, case, &base, goal, options.seed.wrapping_add(u64::from(k)))),
+                        Method::Service => run_service(case, options.base_samples, goal, mode, seed).map(Some),
+                        _ => Ok(run_method(method, case, &base, goal, seed)),
                     }
                     .transpose()
                 })
