@@ -13,7 +13,7 @@ use rebake_core::scene::{Light, LightKind, LoadLimits, load_glb};
 pub use rebake_core::scene::{LoadError, Scene};
 pub use rebake_core::surface::SurfaceError;
 pub use rebake_core::{
-    Budget, Canceled, Edit, EditError, EditErrorKind, Focus, LightMap, Observer, Pass, Progress, Relight,
+    Budget, Canceled, DragBasis, Edit, EditError, EditErrorKind, Focus, LightMap, Observer, Pass, Progress, Relight,
 };
 pub use rebake_core::{Transition, World, WorldError};
 

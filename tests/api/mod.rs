@@ -5,6 +5,7 @@ mod browser;
 mod crash;
 mod dashboard;
 mod deltas;
+mod drag;
 mod durable;
 mod edits;
 mod engine;

@@ -121,7 +121,12 @@ fn relight_and_lights_that_come_go_and_move() {
     let insert = Edit::InsertLight { name: "bulb".into(), kind: point(2.0), color: Vec3::ONE, intensity: 3.0 };
     check("insert a light", &room(), std::slice::from_ref(&insert), Vec3::new(2.0, 0.3, 2.0));
     let lit = room().apply(&[insert]).expect("a light").after;
-    let moved = Edit::MoveLight { light: "bulb".into(), position: Some(DVec3::new(0.8, 1.4, 2.3)), direction: None };
+    let moved = Edit::MoveLight {
+        light: "bulb".into(),
+        position: Some(DVec3::new(0.8, 1.4, 2.3)),
+        direction: None,
+        drag: false,
+    };
     check("move a light", &lit, &[moved], Vec3::new(0.8, 0.3, 2.3));
     check("remove a light", &lit, &[Edit::RemoveLight { light: "bulb".into() }], Vec3::new(2.0, 0.3, 2.0));
     let sky = Edit::InsertLight { name: "sky".into(), kind: LightKind::Environment, color: Vec3::ONE, intensity: 0.5 };

@@ -8,7 +8,7 @@ use glam::Vec3;
 
 use super::plan::{Header, Piece, Plan, Planned, wants_layers};
 use super::{Layer, Stack, correlation, weight_of, whole};
-use crate::job::{Canceled, Observer, Pass, Progress};
+use crate::job::{Budget, Canceled, Observer, Pass, Progress};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
 use crate::scene::Scene;
@@ -71,6 +71,9 @@ pub(crate) fn moved_layers(transition: &Transition, map: &LightMap) -> Option<Ve
     let header = |&k: &usize| (k, plan.after[k].0.clone());
     (only_moves && !plan.changed.is_empty()).then(|| plan.changed.iter().map(header).collect())
 }
+
+/// Samples per element, at most, of a stage before the last.
+const QUIET_SAMPLES: u32 = 64;
 
 struct Update<'a> {
     transition: &'a Transition,
@@ -150,7 +153,11 @@ impl Update<'_> {
         let quiet = Quiet(self.work.observer());
         let quiet = Work::new(&quiet);
         let work = if publishes { self.work } else { &quiet };
-        let goal = Goal { focus: None, seed: subseed(self.goal.seed, 0x1ea), ..*self.goal };
+        // Behind it there is more to do, and nobody sees it: it must not take all the time there is.
+        let most = if publishes { u32::MAX } else { QUIET_SAMPLES };
+        let budget = &self.goal.budget;
+        let budget = &Budget { samples_per_element: budget.samples_per_element.min(most), ..**budget };
+        let goal = Goal { budget, focus: None, seed: subseed(self.goal.seed, 0x1ea) };
         let layers = Layers { headers, weights, around: Vec::new(), from_scratch: true };
         with_layers!(layers.headers.len(), leaving(&still, &layers, &goal, work, finish))
     }

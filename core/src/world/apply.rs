@@ -107,8 +107,11 @@ impl Draft {
                 self.world.scene.lights.remove(index);
                 Ok(())
             }
-            Edit::MoveLight { light, position, direction } => {
+            Edit::MoveLight { light, position, direction, drag } => {
                 let index = self.light_index("light", light)?;
+                if *drag {
+                    self.set_apart(light);
+                }
                 move_light(&mut self.world.scene.lights[index].kind, *position, *direction)
             }
             Edit::GroupLights { group, lights } => self.group_lights(group.as_deref(), lights),
@@ -248,6 +251,15 @@ impl Draft {
         light.color = relight.color.unwrap_or(light.color);
         light.intensity = relight.intensity.unwrap_or(light.intensity);
         Ok(())
+    }
+
+    /// Gives a light that is in no group one of its own, where there is room.
+    fn set_apart(&mut self, light: &str) {
+        let groups = &mut self.world.scene.groups;
+        let names: BTreeSet<&str> = groups.values().map(String::as_str).collect();
+        if !groups.contains_key(light) && !names.contains(light) && names.len() + 1 < MAX_LAYERS {
+            groups.insert(light.to_owned(), light.to_owned());
+        }
     }
 
     fn group_lights(&mut self, group: Option<&str>, lights: &[String]) -> Result<(), EditError> {

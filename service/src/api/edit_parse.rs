@@ -227,7 +227,8 @@ fn to_edit(op: &EditOp, path: &str, assets: &Assets, max_name: usize) -> ApiResu
                 finite("position", position)?;
             }
             let direction = place.direction.map(|d| unit(d, &join(path, "direction"))).transpose()?;
-            Edit::MoveLight { light: place.light.clone(), position: place.position.map(dvec3), direction }
+            let position = place.position.map(dvec3);
+            Edit::MoveLight { light: place.light.clone(), position, direction, drag: place.drag }
         }
         EditOp::GroupLights(group) => {
             if let Some(name) = &group.name {

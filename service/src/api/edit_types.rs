@@ -254,6 +254,10 @@ pub struct MoveLight {
     /// New direction in which it shines.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub direction: Option<[f32; 3]>,
+    /// It is being dragged: a quick estimate is published at once, and the exact update follows where no other edit of the
+    /// scene waits by then. The light gets a layer of its own.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub drag: bool,
 }
 
 /// Lets lights share a layer of the light map: relighting all of them alike needs no rays, and costs the memory of one

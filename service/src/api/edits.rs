@@ -111,7 +111,8 @@ fn read_request(app: &App, head: &Head, body: &[u8]) -> ApiResult<Request> {
     let budget = to_budget(parsed.budget, "budget", app.config.defaults.edit_samples, &app.config)?;
     let focus = parsed.focus.as_ref().map(|focus| to_focus(focus, &head.world)).transpose()?;
     let priority = parsed.priority;
-    let spec = JobSpec { kind: JobKind::Edit, priority, budget, focus, seed: 0, sequence: head.sequence };
+    let drag = edits.iter().any(|edit| matches!(edit, Edit::MoveLight { drag: true, .. }));
+    let spec = JobSpec { kind: JobKind::Edit, priority, budget, focus, drag, seed: 0, sequence: head.sequence };
     Ok(Request { parsed, edits, spec })
 }
 

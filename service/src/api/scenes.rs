@@ -134,8 +134,10 @@ fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::
         elements: world.slots() as u64,
         live_elements: world.element_count() as u64,
         triangles: world.triangle_count() as u64,
-        memory_bytes: (world.memory_bytes() + published.memory_bytes() + scene.earlier.memory_bytes(&published.map))
-            as u64,
+        memory_bytes: (world.memory_bytes()
+            + published.memory_bytes()
+            + scene.drag.memory_bytes()
+            + scene.earlier.memory_bytes(&published.map)) as u64,
         estimated_rmse: published.estimated_rmse.and_then(finite),
         unlit_edits: scene.unlit() as u64,
         objects: published.objects().iter().map(types::Object::new).collect(),

@@ -36,6 +36,8 @@ impl Ticket {
         state.handle(&app, scene.id.clone(), Some(scene.clone()), record);
         state.queue.push(record.job.clone());
         accept();
+        let running = state.queue.running_on(scene.number).and_then(|number| state.handles.get(&number));
+        running.into_iter().for_each(|handle| handle.stop.supersede());
         state.tell(&app, self.number);
         let job = record.job.clone();
         app.start_what_can(&mut state);
@@ -310,6 +312,9 @@ impl App {
             let Some(handle) = state.handles.get_mut(&number) else { break };
             let Some(scene) = handle.scene.clone() else { break };
             handle.stop = Arc::new(Stop::default());
+            if state.queue.open_of(scene.number).iter().any(|other| *other > number) {
+                handle.stop.supersede();
+            }
             let mut spec = handle.spec.clone();
             spec.budget = budgets.into_iter().fold(spec.budget, JobBudget::both);
             let run = worker::Run { job: number, scene, stop: handle.stop.clone(), spec };

@@ -52,10 +52,13 @@ fn absorb(edits: &mut [Option<Edit>], later: usize) {
             }
         }
         Some(Edit::Relight { lights }) => lights.iter_mut().for_each(|light| add_relight(before, light)),
-        Some(Edit::MoveLight { light, position, direction }) => {
+        Some(Edit::MoveLight { light, position, direction, drag }) => {
             if let Some(earlier) = last_of_light(before, light, |edit| matches!(edit, Edit::MoveLight { .. }))
-                && let Some(Edit::MoveLight { position: old_position, direction: old_direction, .. }) = earlier.take()
+                && let Some(Edit::MoveLight {
+                    position: old_position, direction: old_direction, drag: was_dragged, ..
+                }) = earlier.take()
             {
+                *drag |= was_dragged;
                 *position = position.or(old_position);
                 *direction = direction.or(old_direction);
             }
@@ -291,7 +294,12 @@ mod tests {
                 Edit::InsertLight { name: object, kind, color: Vec3::ONE, intensity: number }
             }
             7 => Edit::RemoveLight { light: object },
-            _ => Edit::MoveLight { light: object, position: Some(DVec3::splat(f64::from(number))), direction: None },
+            _ => Edit::MoveLight {
+                light: object,
+                position: Some(DVec3::splat(f64::from(number))),
+                direction: None,
+                drag: false,
+            },
         }
     }
 

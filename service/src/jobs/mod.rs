@@ -15,7 +15,7 @@ pub(crate) mod worker;
 mod tests;
 
 use std::collections::{HashMap, VecDeque};
-use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use jiff::Timestamp;
@@ -42,13 +42,15 @@ pub(crate) struct JobSpec {
     pub(crate) budget: JobBudget,
     pub(crate) focus: Option<Focus>,
     pub(crate) seed: u64,
+    /// A light is dragged: what is quick comes first, and the next edit of the scene ends the rest.
+    pub(crate) drag: bool,
     /// Light everything up to this edit.
     pub(crate) sequence: Sequence,
 }
 
 /// Asks a running job to stop.
 #[derive(Debug, Default)]
-pub(crate) struct Stop(AtomicU8);
+pub(crate) struct Stop(AtomicU8, AtomicBool);
 
 impl Stop {
     const INTERRUPT: u8 = 1;
@@ -62,6 +64,15 @@ impl Stop {
     /// It ends with what it has.
     pub(crate) fn cancel(&self) {
         self.0.fetch_max(Stop::CANCEL, Ordering::Relaxed);
+    }
+
+    /// Another edit of the scene waits: a drag ends with what it has, and has succeeded.
+    pub(crate) fn supersede(&self) {
+        self.1.store(true, Ordering::Relaxed);
+    }
+
+    pub(crate) fn is_superseded(&self) -> bool {
+        self.1.load(Ordering::Relaxed)
     }
 
     pub(crate) fn is_requested(&self) -> bool {
@@ -216,6 +227,7 @@ impl State {
             job,
             budget: spec.budget,
             focus: spec.focus.map(Into::into),
+            drag: spec.drag,
             seed: spec.seed,
             sequence: spec.sequence,
         })
@@ -227,6 +239,7 @@ impl State {
             priority: record.job.priority,
             budget: record.budget,
             focus: record.focus.map(Into::into),
+            drag: record.drag,
             seed: record.seed,
             sequence: record.sequence,
         };
@@ -242,6 +255,7 @@ pub(crate) fn new_record(number: JobNumber, scene: &SceneEntry, spec: &JobSpec) 
         job: Job::new(number, scene.number, spec.kind, spec.priority, Timestamp::now()),
         budget: spec.budget,
         focus: spec.focus.map(Into::into),
+        drag: spec.drag,
         seed: spec.seed,
         sequence: spec.sequence,
     }

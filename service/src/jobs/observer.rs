@@ -117,6 +117,8 @@ pub(crate) struct JobObserver<'a> {
     state: Mutex<State>,
     /// There is a complete map, so time may end the work.
     complete: AtomicBool,
+    /// The next edit of the scene may end it, too.
+    pub(crate) yields: bool,
 }
 
 #[derive(Default)]
@@ -152,6 +154,7 @@ impl<'a> JobObserver<'a> {
             slots: 0,
             state: Mutex::default(),
             complete: AtomicBool::new(false),
+            yields: false,
         }
     }
 
@@ -189,6 +192,11 @@ impl<'a> JobObserver<'a> {
             && self.budget.max_seconds.is_some_and(|max| self.elapsed().as_secs_f64() > max * GRACE)
     }
 
+    /// There is a map to show, and another edit waits.
+    fn is_superseded(&self) -> bool {
+        self.yields && self.stop.is_superseded() && self.complete.load(Ordering::Relaxed)
+    }
+
     fn report(&self, progress: &Progress, version: Option<u64>) {
         let elapsed = self.elapsed();
         let fraction = fraction(&self.budget, progress, elapsed.as_secs_f64());
@@ -212,7 +220,7 @@ impl<'a> JobObserver<'a> {
 
 impl Observer for JobObserver<'_> {
     fn canceled(&self) -> bool {
-        self.stop.is_requested() || self.is_overdue()
+        self.stop.is_requested() || self.is_overdue() || self.is_superseded()
     }
 
     fn progress(&self, progress: &Progress) {

@@ -9,7 +9,7 @@ use super::queue::{JobNumber, Outcome};
 use super::{JobSpec, Stop, merge};
 use crate::compute::catching;
 use crate::engine::{
-    Budget, Canceled, Edit, LightMap, Pass, Progress, Transition, Update, World, carry_over, have_same_slots,
+    Budget, Canceled, Edit, LightMap, Observer, Pass, Progress, Transition, Update, World, carry_over, have_same_slots,
     lengthened, with_layers_of,
 };
 use crate::state::App;
@@ -77,6 +77,7 @@ fn after(app: &Arc<App>, scene: &Arc<SceneEntry>, sequence: Sequence) {
 fn light(app: &Arc<App>, run: &Run) -> Outcome {
     let Run { job, scene, stop, spec } = run;
     let mut observer = JobObserver::new(app, scene, *job, spec.budget, stop);
+    observer.yields = spec.drag;
     if app.may_publish(scene)
         && let Some(published) = scene.show(spec.sequence)
     {
@@ -111,6 +112,10 @@ fn light(app: &Arc<App>, run: &Run) -> Outcome {
                     restore(&observer, scene, step.sequence, &transition.after, &map);
                     continue;
                 }
+                scene.drag.drop_stale(&transition.after);
+                if spec.drag {
+                    first_frame(scene, transition, &map, spec.seed, &observer);
+                }
                 let work = Update {
                     transition,
                     map: &map,
@@ -127,6 +132,29 @@ fn light(app: &Arc<App>, run: &Run) -> Outcome {
             Outcome::Succeeded
         }
     }
+}
+
+/// Shows a dragged light at its new place as soon as may be, where the scene's transport has been sampled; else samples
+/// it, for the frames to come.
+fn first_frame(
+    scene: &SceneEntry,
+    transition: &Transition,
+    map: &LightMap,
+    seed: u64,
+    observer: &JobObserver<'_>,
+) -> Option<()> {
+    let basis = scene.drag.of(&transition.after, seed, observer)?;
+    let frame = basis.frame(transition, map, seed, observer).ok()??;
+    let progress = Progress {
+        pass: Pass::Direct,
+        samples_per_element: 1,
+        round_samples: 0,
+        round_fraction: 1.0,
+        rays: 0,
+        estimated_rmse: None,
+    };
+    observer.snapshot(&Arc::new(frame), &progress);
+    Some(())
 }
 
 /// Publishes a map that was there before an edit that this one takes back.

@@ -3,6 +3,7 @@
 
 pub(crate) mod assets;
 pub(crate) mod disk;
+mod drag;
 mod earlier;
 pub mod faults;
 pub(crate) mod layers;

@@ -32,6 +32,8 @@ pub(crate) struct JobRecord {
     pub(crate) job: Job,
     pub(crate) budget: JobBudget,
     pub(crate) focus: Option<StoredFocus>,
+    #[serde(default)]
+    pub(crate) drag: bool,
     pub(crate) seed: u64,
     pub(crate) sequence: Sequence,
 }

@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 use jiff::Timestamp;
 use tokio::sync::watch;
 
+use super::drag::Drag;
 use super::earlier::Earlier;
 use super::lighting::{Lighting, Lit, Sequence, Unlit, Work};
 use super::records::{KeyRecord, LightRecord};
@@ -29,6 +30,8 @@ pub(crate) struct SceneEntry {
     lighting: Mutex<Lighting>,
     /// What undo goes back to.
     pub(crate) earlier: Earlier,
+    /// What lights are dragged with.
+    pub(crate) drag: Drag,
     published: watch::Sender<Arc<Published>>,
     deleted: watch::Sender<bool>,
     /// No version above it may be given before more are reserved.
@@ -84,6 +87,7 @@ impl SceneEntry {
             head: Arc::new(tokio::sync::Mutex::new(head)),
             lighting: Mutex::new(lighting),
             earlier: Earlier::default(),
+            drag: Drag::default(),
             published: watch::Sender::new(Arc::new(published)),
             deleted: watch::Sender::new(false),
             reserved: AtomicU64::new(new.reserved),

@@ -47,7 +47,8 @@ pub fn write_scene_glb(scene: &Scene) -> Result<Vec<u8>, ExportError> {
     document.finish()
 }
 
-/// A primitive per material, and apart from it one for its flat triangles (those without normals).
+/// A primitive per material, and apart from it one for its flat triangles (those without normals). An object without
+/// triangles gets one without an area, which readers drop: a mesh has to have a primitive.
 fn add_mesh(
     document: &mut Document,
     item: &Object,
@@ -58,10 +59,15 @@ fn add_mesh(
     let lists = || ExportError::Lists(item.name.clone());
     if !(mesh.normals.is_empty() || mesh.normals.len() == vertices)
         || mesh.triangle_materials.len() != mesh.triangles.len()
-        || mesh.triangles.is_empty()
         || mesh.triangles.iter().flatten().any(|&corner| corner as usize >= vertices)
     {
         return Err(lists());
+    }
+    if mesh.triangles.is_empty() {
+        let attributes = object([("POSITION", document.add_vec3(&[Vec3::ZERO; 3], true))]);
+        let primitive = object([("attributes", attributes), ("indices", document.add_indices(&[[0, 1, 2]]))]);
+        let json = object([("name", item.name.as_str().into()), ("primitives", vec![primitive].into())]);
+        return Ok(push(&mut document.meshes, json));
     }
     let has_normal = |corner: &u32| mesh.normals.get(*corner as usize).is_some_and(|normal| *normal != Vec3::ZERO);
     let mut groups: BTreeMap<(u32, bool), Vec<[u32; 3]>> = BTreeMap::new();

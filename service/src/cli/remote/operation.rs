@@ -72,6 +72,9 @@ pub(super) enum Operation {
         /// Where it shines
         #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
         direction: Option<Point>,
+        /// It is being dragged: show an estimate first
+        #[arg(long)]
+        drag: bool,
     },
     /// Let lights share a layer of the light map, so that they are relit together without rays
     GroupLights {
@@ -180,8 +183,9 @@ impl Operation {
             }
             Operation::InsertLight(new) => json!({"op": "insert_light", "name": new.name, "light": new.json()}),
             Operation::RemoveLight { light } => json!({"op": "remove_light", "light": light}),
-            Operation::MoveLight { light, position, direction } => {
+            Operation::MoveLight { light, position, direction, drag } => {
                 let mut edit = json!({"op": "move_light", "light": light});
+                set(&mut edit, "drag", drag.then(|| json!(true)));
                 set(&mut edit, "position", position.map(|point| json!(point.0)));
                 set(&mut edit, "direction", direction.map(|point| json!(point.0)));
                 edit
