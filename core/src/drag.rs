@@ -1,4 +1,4 @@
-//! Lights that are dragged (Nielsen and Christensen 2000, "moving lights"): a new frame of a moved light without waiting
+//! Lights that are dragged (Nielsen 2000, "moving lights"): a new frame of a moved light without waiting
 //! for an update.
 //!
 //! The paper precomputes responses of coarse patches to unit light. Here the transport between representatives is kept

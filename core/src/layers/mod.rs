@@ -1,4 +1,4 @@
-//! Light layers (Nielsen and Christensen 2000): light tagged with the lights that it stems from, so that a change of
+//! Light layers (Nielsen 2000): light tagged with the lights that it stems from, so that a change of
 //! colour or intensity is a weighted sum and needs no ray.
 //!
 //! A layer holds the light of one light or of a group at *reference strengths*; its weight is the present strength over
