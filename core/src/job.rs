@@ -58,6 +58,13 @@ pub struct Progress {
     pub estimated_rmse: Option<f32>,
 }
 
+impl Progress {
+    /// Of a map that is there at once, without a round of samples.
+    pub fn at_once(pass: Pass, samples_per_element: u32, estimated_rmse: Option<f32>) -> Progress {
+        Progress { pass, samples_per_element, round_samples: 0, round_fraction: 1.0, rays: 0, estimated_rmse }
+    }
+}
+
 /// The caller's side of a running job. Called from the thread that runs the job, [`Observer::canceled`] from all.
 pub trait Observer: Sync {
     /// Asked at every tile: true ends the work with [`Canceled`].

@@ -7,6 +7,8 @@
 
 mod plan;
 mod stack;
+#[cfg(test)]
+mod tests;
 mod update;
 
 use std::sync::Arc;

@@ -353,14 +353,7 @@ fn renamed(layer: &Arc<Layer>, header: &Header) -> Arc<Layer> {
 
 /// One snapshot of a map that no ray was needed for.
 fn announce(map: &Arc<LightMap>, world: &World, observer: &dyn Observer) {
-    let progress = Progress {
-        pass: Pass::Direct,
-        samples_per_element: 1,
-        round_samples: 0,
-        round_fraction: 1.0,
-        rays: 0,
-        estimated_rmse: Some(map.estimated_rmse(world.areas())),
-    };
+    let progress = Progress::at_once(Pass::Direct, 1, Some(map.estimated_rmse(world.areas())));
     observer.progress(&progress);
     observer.snapshot(map, &progress);
 }

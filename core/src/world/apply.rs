@@ -11,8 +11,7 @@ use super::check::{check_kind, check_strength, check_transform, error, invalid, 
 use super::motion::{is_rigid, move_light, transformed_light};
 use super::{Geometry, Part, Placed, Transition, Validity, World, WorldError, probe};
 use crate::bvh::{BuildQuality, Bvh, TriangleMask};
-use crate::edit::{Edit, EditError, EditErrorKind, Relight, name_matches};
-use crate::layers::MAX_LAYERS;
+use crate::edit::{Edit, EditError, EditErrorKind, name_matches};
 use crate::scene::{Light, LightKind, merge_as_object};
 
 impl World {
@@ -30,8 +29,8 @@ impl World {
 }
 
 /// A world under construction.
-struct Draft {
-    world: World,
+pub(super) struct Draft {
+    pub(super) world: World,
     geometry: Geometry,
     parts: Vec<Part>,
     /// Objects of the old world whose geometry is there no more, as they were.
@@ -132,7 +131,7 @@ impl Draft {
         objects.iter().position(|o| o.name == name).ok_or_else(|| unknown("object", "object", name))
     }
 
-    fn light_index(&self, field: &str, name: &str) -> Result<usize, EditError> {
+    pub(super) fn light_index(&self, field: &str, name: &str) -> Result<usize, EditError> {
         let lights = &self.world.scene.lights;
         lights.iter().position(|l| l.name == name).ok_or_else(|| unknown(field, "light", name))
     }
@@ -241,46 +240,6 @@ impl Draft {
         let object = &mut self.world.scene.objects[index];
         object.materials.iter_mut().for_each(|m| m.albedo = albedo);
         self.parts[first..first + object.materials.len()].iter_mut().for_each(|p| p.albedo = albedo);
-        Ok(())
-    }
-
-    fn relight(&mut self, relight: &Relight) -> Result<(), EditError> {
-        let index = self.light_index("light", &relight.light)?;
-        check_strength(relight.color, relight.intensity)?;
-        let light = &mut self.world.scene.lights[index];
-        light.color = relight.color.unwrap_or(light.color);
-        light.intensity = relight.intensity.unwrap_or(light.intensity);
-        Ok(())
-    }
-
-    /// Gives a light that is in no group one of its own, where there is room.
-    fn set_apart(&mut self, light: &str) {
-        let groups = &mut self.world.scene.groups;
-        let names: BTreeSet<&str> = groups.values().map(String::as_str).collect();
-        if !groups.contains_key(light) && !names.contains(light) && names.len() + 1 < MAX_LAYERS {
-            groups.insert(light.to_owned(), light.to_owned());
-        }
-    }
-
-    fn group_lights(&mut self, group: Option<&str>, lights: &[String]) -> Result<(), EditError> {
-        if group.is_some_and(|name| name.is_empty() || name.len() > 256) {
-            return Err(invalid("name", "must have 1 to 256 bytes"));
-        }
-        if lights.is_empty() {
-            return Err(invalid("lights", "is empty"));
-        }
-        for (k, light) in lights.iter().enumerate() {
-            self.light_index(&format!("lights[{k}]"), light)?;
-            match group {
-                Some(group) => self.world.scene.groups.insert(light.clone(), group.to_owned()),
-                None => self.world.scene.groups.remove(light),
-            };
-        }
-        let groups: BTreeSet<&String> = self.world.scene.groups.values().collect();
-        if groups.len() > MAX_LAYERS {
-            let reason = format!("the scene would have more than {MAX_LAYERS} groups of lights");
-            return Err(error("name", reason, EditErrorKind::TooLarge));
-        }
         Ok(())
     }
 

@@ -9,6 +9,7 @@ mod coarse;
 mod emitters;
 mod geometry;
 mod info;
+mod lights;
 mod motion;
 mod probe;
 mod same;

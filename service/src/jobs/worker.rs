@@ -145,29 +145,14 @@ fn first_frame(
 ) -> Option<()> {
     let basis = scene.drag.of(&transition.after, seed, observer)?;
     let frame = basis.frame(transition, map, seed, observer).ok()??;
-    let progress = Progress {
-        pass: Pass::Direct,
-        samples_per_element: 1,
-        round_samples: 0,
-        round_fraction: 1.0,
-        rays: 0,
-        estimated_rmse: None,
-    };
-    observer.snapshot(&Arc::new(frame), &progress);
+    observer.snapshot(&Arc::new(frame), &Progress::at_once(Pass::Direct, 1, None));
     Some(())
 }
 
 /// Publishes a map that was there before an edit that this one takes back.
 fn restore(observer: &JobObserver<'_>, scene: &SceneEntry, sequence: Sequence, world: &World, map: &Arc<LightMap>) {
     let rmse = map.estimated_rmse(world.areas());
-    let progress = Progress {
-        pass: Pass::FinalGather,
-        samples_per_element: observer.budget.samples_per_element,
-        round_samples: 0,
-        round_fraction: 1.0,
-        rays: 0,
-        estimated_rmse: Some(rmse),
-    };
+    let progress = Progress::at_once(Pass::FinalGather, observer.budget.samples_per_element, Some(rmse));
     observer.publish(map, &progress);
     scene.set_lit(sequence, map.clone());
     tracing::info!("restored");

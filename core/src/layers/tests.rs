@@ -1,0 +1,113 @@
+//! Plans as text.
+
+use std::sync::Arc;
+
+use glam::{DVec3, Vec3};
+
+use super::plan::{Header, Piece, Plan, wants_layers};
+use super::{Layer, LayerLight, MAX_LAYERS, weight_of};
+use crate::lightmap::LightMap;
+use crate::scene::{Light, LightKind, Scene};
+
+fn scene(lights: &[(&str, f32)], groups: &[(&str, &str)]) -> Scene {
+    let light = |&(name, intensity): &(&str, f32)| Light {
+        name: name.to_owned(),
+        kind: LightKind::Point { position: DVec3::ZERO, range: None },
+        color: Vec3::ONE,
+        intensity,
+    };
+    let groups = groups.iter().map(|(light, group)| ((*light).to_owned(), (*group).to_owned())).collect();
+    Scene { lights: lights.iter().map(light).collect(), groups, ..Scene::from_objects(Vec::new()) }
+}
+
+fn map(layers: &[(&str, &[(&str, f32)])]) -> LightMap {
+    let light =
+        |&(name, reference): &(&str, f32)| LayerLight { name: name.to_owned(), reference: Vec3::splat(reference) };
+    let layer = |(name, lights): &(&str, &[(&str, f32)])| {
+        Arc::new(Layer { name: (*name).to_owned(), lights: lights.iter().map(light).collect(), ..Layer::default() })
+    };
+    LightMap { layers: layers.iter().map(layer).collect(), ..LightMap::default() }
+}
+
+/// `name(light@reference light@reference) = pieces`, one per layer after the edit, and what changes.
+fn told(plan: &Plan) -> String {
+    let lights = |header: &Header| {
+        let lights = header.lights.iter().map(|l| format!("{}@{}", l.name, l.reference.x));
+        lights.collect::<Vec<_>>().join(" ")
+    };
+    let piece = |(piece, factor): &(Piece, Vec3)| match piece {
+        Piece::Old(k) => format!("{:+} old {k}", factor.x),
+        Piece::Leaving(k) => format!("{:+} [{}]", factor.x, lights(&plan.leaving[*k])),
+    };
+    let layer = |(k, (header, origin)): (usize, &(Header, Option<usize>))| {
+        let pieces: Vec<String> =
+            origin.map(|o| plan.regrouped[o].pieces.iter().map(piece).collect()).unwrap_or_default();
+        let changed = if plan.changed.contains(&k) { " (changed)" } else { "" };
+        format!("{}({}) = {}{changed}", header.name, lights(header), pieces.join(" "))
+    };
+    plan.after.iter().enumerate().map(layer).collect::<Vec<_>>().join("\n")
+}
+
+#[test]
+fn a_relit_light_leaves_the_others() {
+    let (before, after) = (scene(&[("a", 2.0), ("b", 3.0)], &[]), scene(&[("a", 4.0), ("b", 3.0)], &[]));
+    assert!(wants_layers(&before, &after, &map(&[])) && !wants_layers(&before, &before, &map(&[])));
+    let plan = Plan::new(&before, &after, &map(&[]));
+    assert_eq!(told(&plan), "shared(b@3) = +1 old 0 -2 [a@1]\na(a@1) = +1 [a@1]");
+}
+
+#[test]
+fn lights_that_change_alike_stay_together() {
+    let (before, after) = (scene(&[("a", 2.0), ("b", 3.0)], &[]), scene(&[("a", 4.0), ("b", 6.0)], &[]));
+    assert_eq!(told(&Plan::new(&before, &after, &map(&[]))), "shared(a@2 b@3) = +1 old 0");
+}
+
+#[test]
+fn a_light_that_was_off_is_computed_anew() {
+    let (before, after) = (scene(&[("a", 0.0)], &[]), scene(&[("a", 4.0)], &[]));
+    let plan = Plan::new(&before, &after, &map(&[]));
+    assert_eq!(told(&plan), "a(a@4) = +1 old 0 (changed)");
+    // Held at unit emission it has not been forgotten.
+    let plan = Plan::new(&before, &after, &map(&[("a", &[("a", 1.0)])]));
+    assert_eq!(told(&plan), "a(a@1) = +1 old 0");
+}
+
+#[test]
+fn groups_divide_and_join() {
+    let lights = [("a", 2.0), ("b", 3.0), ("c", 5.0)];
+    let (before, after) = (scene(&lights, &[]), scene(&lights, &[("a", "g"), ("b", "g")]));
+    let plan = Plan::new(&before, &after, &map(&[]));
+    assert_eq!(told(&plan), "shared(c@5) = +1 old 0 -1 [a@2 b@3]\ng(a@2 b@3) = +1 [a@2 b@3]");
+    // Layers that are there are summed at what they weigh.
+    let alone = map(&[("a", &[("a", 1.0)]), ("b", &[("b", 1.0)]), ("c", &[("c", 1.0)])]);
+    let plan = Plan::new(&before, &after, &alone);
+    assert_eq!(told(&plan), "g(a@2 b@3) = +2 old 0 +3 old 1\nc(c@1) = +1 old 2");
+    assert!(plan.leaving.is_empty());
+}
+
+#[test]
+fn lights_come_and_go() {
+    let layers = map(&[("a", &[("a", 1.0)]), ("rest", &[("b", 2.0), ("c", 2.0)])]);
+    let before = scene(&[("a", 2.0), ("b", 4.0), ("c", 4.0)], &[]);
+    let after = scene(&[("b", 4.0), ("d", 7.0)], &[]);
+    let plan = Plan::new(&before, &after, &layers);
+    assert_eq!(told(&plan), "rest(b@2) = +1 old 1 (changed)\nd(d@1) =  (changed)");
+}
+
+#[test]
+fn there_are_never_more_layers_than_fit() {
+    let names: Vec<String> = (0..40).map(|i| format!("l{i}")).collect();
+    let strengths = |by: f32| -> Vec<(&str, f32)> {
+        names.iter().enumerate().map(|(i, n)| (n.as_str(), 1.0 + by * i as f32)).collect()
+    };
+    let (before, after) = (strengths(0.0), strengths(1.0));
+    let plan = Plan::new(&scene(&before, &[]), &scene(&after, &[]), &map(&[]));
+    assert_eq!(plan.after.len(), MAX_LAYERS);
+    let mut held: Vec<&str> = plan.after.iter().flat_map(|(h, _)| h.lights.iter().map(|l| l.name.as_str())).collect();
+    held.sort_unstable();
+    held.dedup();
+    assert_eq!(held.len(), names.len(), "every light is in one layer");
+    // Those that had to stay together change in it, and hold their present strength.
+    assert_eq!(plan.changed, [0]);
+    assert!(plan.after.iter().all(|(h, _)| weight_of(&h.lights, &scene(&after, &[])).is_some()));
+}

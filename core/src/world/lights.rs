@@ -1,0 +1,50 @@
+//! Edits of lights that change no geometry: strength, and which share a layer.
+
+use std::collections::BTreeSet;
+
+use super::apply::Draft;
+use super::check::{check_strength, error, invalid};
+use crate::edit::{EditError, EditErrorKind, Relight};
+use crate::layers::MAX_LAYERS;
+
+impl Draft {
+    pub(super) fn relight(&mut self, relight: &Relight) -> Result<(), EditError> {
+        let index = self.light_index("light", &relight.light)?;
+        check_strength(relight.color, relight.intensity)?;
+        let light = &mut self.world.scene.lights[index];
+        light.color = relight.color.unwrap_or(light.color);
+        light.intensity = relight.intensity.unwrap_or(light.intensity);
+        Ok(())
+    }
+
+    /// Gives a light that is in no group one of its own, where there is room.
+    pub(super) fn set_apart(&mut self, light: &str) {
+        let groups = &mut self.world.scene.groups;
+        let names: BTreeSet<&str> = groups.values().map(String::as_str).collect();
+        if !groups.contains_key(light) && !names.contains(light) && names.len() + 1 < MAX_LAYERS {
+            groups.insert(light.to_owned(), light.to_owned());
+        }
+    }
+
+    pub(super) fn group_lights(&mut self, group: Option<&str>, lights: &[String]) -> Result<(), EditError> {
+        if group.is_some_and(|name| name.is_empty() || name.len() > 256) {
+            return Err(invalid("name", "must have 1 to 256 bytes"));
+        }
+        if lights.is_empty() {
+            return Err(invalid("lights", "is empty"));
+        }
+        for (k, light) in lights.iter().enumerate() {
+            self.light_index(&format!("lights[{k}]"), light)?;
+            match group {
+                Some(group) => self.world.scene.groups.insert(light.clone(), group.to_owned()),
+                None => self.world.scene.groups.remove(light),
+            };
+        }
+        let groups: BTreeSet<&String> = self.world.scene.groups.values().collect();
+        if groups.len() > MAX_LAYERS {
+            let reason = format!("the scene would have more than {MAX_LAYERS} groups of lights");
+            return Err(error("name", reason, EditErrorKind::TooLarge));
+        }
+        Ok(())
+    }
+}
