@@ -131,6 +131,24 @@ fn a_light_that_is_relit_gets_a_layer_of_its_own_and_then_needs_no_ray() {
     for layer in 0..2 {
         check_layer("split", &first.after, &maps, layer, 3e-3);
     }
+    // What is stated is what is there, against a mean of many: light that left one layer for another counts once.
+    let n = maps.len() as f64;
+    let mean = |slot: usize| maps.iter().map(|m| m.total(slot).as_dvec3()).sum::<DVec3>() / n;
+    let scatter = area_mean(
+        &first.after,
+        |_| true,
+        |i| {
+            let mean = mean(i);
+            maps.iter().map(|m| (m.total(i).as_dvec3() - mean).powf(2.0)).sum::<DVec3>() / (n - 1.0)
+        },
+    );
+    let stated = area_mean(
+        &first.after,
+        |_| true,
+        |i| DVec3::splat(maps.iter().map(|m| f64::from(m.variance[i])).sum::<f64>() / n),
+    );
+    let ratio = (stated / scatter).sqrt();
+    assert!((0.67..1.5).contains(&ratio), "stated over found error: {ratio}");
     let steps = [relight("red", Vec3::ZERO, 0.0), relight("red", Vec3::new(0.0, 1.0, 5.0), 2.0)];
     let (mut world, mut map) = (first.after.clone(), maps[0].clone());
     for step in steps {

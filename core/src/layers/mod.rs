@@ -129,7 +129,7 @@ pub(crate) fn whole(layers: Vec<Arc<Layer>>, weights: &[Vec3], correlation: f64)
             }
         }
         for (sum, equal) in variance.iter_mut().zip(equal) {
-            *sum += correlation * (*equal * *equal - *sum);
+            *sum = (*sum + correlation * (*equal * *equal - *sum)).max(0.0);
         }
     });
     LightMap { direct, indirect, variance, layers }
@@ -148,7 +148,8 @@ const CHUNK: usize = 4096;
 /// So many slots tell a correlation.
 const CORRELATION_SLOTS: usize = 1 << 14;
 
-/// How much the errors of layers, which share their rays, have in common: 0 not at all, 1 they are the same. From the
+/// How much the errors of layers, which share their rays, have in common: 0 not at all, 1 they are the same, below 0 they
+/// take from one another. From the
 /// variance of the whole, which was measured, and those of its layers.
 pub(crate) fn correlation(map: &LightMap, weights: &[Vec3]) -> f64 {
     if map.layers.len() < 2 {
@@ -168,7 +169,9 @@ pub(crate) fn correlation(map: &LightMap, weights: &[Vec3]) -> f64 {
         independent += f64::from(sum);
         equal += f64::from(root * root);
     }
-    if equal > independent { ((measured - independent) / (equal - independent)).clamp(0.0, 1.0) } else { 0.0 }
+    // Layers that were set apart have errors of opposite sign in common.
+    let least = -1.0 / (map.layers.len() - 1) as f64;
+    if equal > independent { ((measured - independent) / (equal - independent)).clamp(least, 1.0) } else { 0.0 }
 }
 
 /// A layer gets at least this part of the samples that its power at reference strength would get it: it may be made

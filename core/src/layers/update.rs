@@ -94,7 +94,9 @@ impl Update<'_> {
         if !self.plan.leaving.is_empty() {
             let finish = |leaving: Vec<Arc<Layer>>| {
                 let regrouped = self.regroup(&leaving);
-                whole(self.unchanged(&regrouped), &weights, correlation)
+                let mut map = whole(self.unchanged(&regrouped), &weights, correlation);
+                map.variance = self.variance_of_pieces(&leaving, &weights, correlation);
+                map
             };
             let Some(Leaving { updated, layers: leaving }) = self.compute_leaving(changed.is_empty(), &finish)? else {
                 return Ok(None);
@@ -111,6 +113,31 @@ impl Update<'_> {
             return Ok(Some(Updated { map, baked: false }));
         }
         self.compute_changed(&changed, &regrouped, &weights, correlation)
+    }
+
+    /// Variance of the new map: light that leaves one layer for another is in both, with opposite signs, so that only
+    /// what it weighs in all counts.
+    fn variance_of_pieces(&self, leaving: &[Arc<Layer>], weights: &[Vec3], correlation: f64) -> Vec<f32> {
+        let mut old = vec![Vec3::ZERO; self.map.layers.len().max(1)];
+        let mut new = vec![Vec3::ZERO; leaving.len()];
+        for ((_, origin), weight) in self.plan.after.iter().zip(weights) {
+            let pieces = origin.map_or(&[][..], |index| &self.plan.regrouped[index].pieces);
+            for (piece, factor) in pieces {
+                match piece {
+                    Piece::Old(k) => old[*k] += *factor * *weight,
+                    Piece::Leaving(k) => new[*k] += *factor * *weight,
+                }
+            }
+        }
+        let square = |v: &Vec3| v.length_squared() / 3.0;
+        let mut variance = match self.map.layers.is_empty() {
+            true => self.map.variance.iter().map(|v| v * square(&old[0])).collect(),
+            false => whole(self.map.layers.clone(), &old, correlation).variance,
+        };
+        for (layer, factor) in leaving.iter().zip(new.iter().map(square)) {
+            variance.iter_mut().zip(&layer.variance).for_each(|(sum, v)| *sum += v * factor);
+        }
+        variance
     }
 
     /// Positions in `plan.after` of the layers that rays are needed for.
