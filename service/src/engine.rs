@@ -36,6 +36,11 @@ pub trait Engine: Send + Sync + Debug {
     /// From the map of `transition.before` to that of `transition.after`.
     fn update(&self, work: &Update<'_>, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled>;
 
+    /// What frames of dragged lights are made with. The default samples the transport of the world.
+    fn drag_basis(&self, world: &World, seed: u64, observer: &dyn Observer) -> Result<DragBasis, Canceled> {
+        DragBasis::new(world, seed, observer)
+    }
+
     /// A map that is right for `world`, more accurate.
     fn refine(
         &self,

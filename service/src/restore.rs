@@ -260,8 +260,15 @@ fn bake_again(app: &Arc<App>, scene: &Arc<SceneEntry>) {
     let mut jobs = head.jobs;
     let seed = crate::api::next_seed(&mut jobs);
     let sequence = head.sequence;
-    let spec =
-        JobSpec { kind: JobKind::Bake, priority: Priority::Normal, budget, focus: None, drag: false, seed, sequence };
+    let spec = JobSpec {
+        kind: JobKind::Bake,
+        priority: Priority::Normal,
+        budget,
+        focus: None,
+        dragged: Vec::new(),
+        seed,
+        sequence,
+    };
     let Ok(ticket) = app.ticket(scene.number) else { return };
     let record = new_record(ticket.number, scene, &spec);
     let accepted = crate::store::records::Accepted { scene: scene.number, edit: None, job: &record, key: None, jobs };

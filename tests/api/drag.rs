@@ -1,5 +1,9 @@
 //! Lights that are dragged: a frame at once, the exact light where they rest.
 
+use std::sync::{Arc, Condvar, Mutex};
+use std::time::Duration;
+
+use rebake::engine::{Budget, Canceled, CoreEngine, Engine, LightMap, Observer, Update, World};
 use serde_json::{Value, json};
 
 use super::glb;
@@ -57,4 +61,103 @@ async fn a_dragged_light_ends_where_it_rests_with_the_exact_light() {
     let first = snapshots.iter().find(|s| !s["samples_per_element"].is_null()).expect("a snapshot with light");
     assert_eq!((&first["samples_per_element"], first["estimated_rmse"].is_null()), (&json!(1), true), "{first}");
     assert!(snapshots.iter().any(|s| s["samples_per_element"] == 16 && s["estimated_rmse"].is_number()));
+}
+
+/// The real engine, whose updates stand still while it is held. It looks at what updates start from.
+#[derive(Debug, Default)]
+struct Held {
+    state: Mutex<State>,
+    let_go: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    is_held: bool,
+    /// What was computed last.
+    last: Option<Arc<LightMap>>,
+    /// Updates, and those that started from something else.
+    updates: (u32, u32),
+}
+
+impl Held {
+    fn hold(&self, is_held: bool) {
+        self.state.lock().unwrap().is_held = is_held;
+        self.let_go.notify_all();
+    }
+
+    fn made(&self, map: Arc<LightMap>) -> Arc<LightMap> {
+        self.state.lock().unwrap().last = Some(map.clone());
+        map
+    }
+}
+
+impl Engine for Held {
+    fn bake(&self, world: &World, budget: &Budget, seed: u64, o: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
+        CoreEngine.bake(world, budget, seed, o).map(|map| self.made(map))
+    }
+
+    fn update(&self, work: &Update<'_>, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
+        let mut state = self.state.lock().unwrap();
+        state.updates.0 += 1;
+        state.updates.1 += u32::from(state.last.as_deref() != Some(work.map));
+        while state.is_held {
+            if observer.canceled() {
+                return Err(Canceled);
+            }
+            (state, _) = self.let_go.wait_timeout(state, Duration::from_millis(5)).unwrap();
+        }
+        drop(state);
+        CoreEngine.update(work, observer).map(|map| self.made(map))
+    }
+
+    fn refine(
+        &self,
+        world: &World,
+        map: &LightMap,
+        budget: &Budget,
+        seed: u64,
+        observer: &dyn Observer,
+    ) -> Result<Arc<LightMap>, Canceled> {
+        CoreEngine.refine(world, map, budget, seed, observer)
+    }
+}
+
+#[tokio::test]
+async fn no_light_starts_from_an_estimate() {
+    let engine = Arc::new(Held::default());
+    let server = Server::with(|config| config.engine = engine.clone()).await;
+    let scene = scene(&server).await;
+    let asset = server.crate_asset().await;
+    assert_eq!(server.end_of(&server.edit(&scene, &step(1.2, 16)).await).await["state"], "succeeded");
+    let exact = server.get(&path_of(&scene)).await.json(200);
+    assert!(exact["estimated_rmse"].is_number(), "{exact}");
+
+    // The next steps end a step that has its estimate; an insert does not.
+    engine.hold(true);
+    let steps = [step(1.6, 16), step(2.0, 16), step(2.4, 16)];
+    let mut jobs = Vec::new();
+    for step in &steps {
+        let job = server.edit(&scene, step).await;
+        server.until(&job, |job| job["progress"]["samples_per_element"] == 1).await;
+        assert!(server.get(&path_of(&scene)).await.json(200)["estimated_rmse"].is_null());
+        jobs.push(job);
+    }
+    for job in &jobs[..2] {
+        assert_eq!(server.end_of(job).await["state"], "succeeded");
+    }
+    let at = glb::translation(1.0, 0.01, 2.0);
+    let insert = json!({ "op": "insert", "asset": asset, "name": "crate", "transform": at });
+    let insert = server.edit(&scene, &insert).await;
+    let last = server.get(&format!("/v1/jobs/{}", jobs[2])).await.json(200);
+    assert_eq!(last["state"], "running", "{last}");
+    // Canceled with nothing but an estimate: the insert lights it first.
+    server.delete(&format!("/v1/jobs/{}", jobs[2])).await;
+    assert_eq!(server.end_of(&jobs[2]).await["state"], "canceled");
+    engine.hold(false);
+    assert_eq!(server.end_of(&insert).await["state"], "succeeded");
+
+    let lit = server.get(&path_of(&scene)).await.json(200);
+    assert!(lit["estimated_rmse"].is_number(), "{lit}");
+    // The first step, three that were held, and one of all that was left with the insert.
+    assert_eq!(engine.state.lock().unwrap().updates, (5, 0));
 }

@@ -82,6 +82,12 @@ impl Subset {
         self.sides.push(Side { placed: Arc::clone(placed), first_slot, back, index, hidden, alone });
     }
 
+    /// Bytes of its own; surfaces and their weights belong to the world.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        let side = |side: &Side| size_of_val(side.index.as_slice()) + size_of_val(side.alone.as_slice());
+        size_of_val(self.slots.as_slice()) + self.sides.iter().map(side).sum::<usize>()
+    }
+
     /// Values at the representatives carried to all slots; zero in holes.
     pub(crate) fn interpolate<V: Value>(&self, values: &[V]) -> Vec<V> {
         let mut out = vec![V::default(); self.len];

@@ -254,8 +254,8 @@ pub struct MoveLight {
     /// New direction in which it shines.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub direction: Option<[f32; 3]>,
-    /// It is being dragged: a quick estimate is published at once, and the exact update follows where no other edit of the
-    /// scene waits by then. The light gets a layer of its own.
+    /// It is being dragged: a quick estimate is published at once, and the exact update follows unless the next step of
+    /// the same drag waits by then. No later light starts from an estimate. The light gets a layer of its own.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub drag: bool,
 }

@@ -18,6 +18,7 @@ use super::uploads::{full_problem, memory_problem, next_seed};
 use super::{Shared, find_scene, require_serving};
 use crate::config::Config;
 use crate::engine::{Edit, EditError, EditErrorKind, Scene, World};
+use crate::jobs::merge::dragged_by;
 use crate::jobs::queue::JobKind;
 use crate::jobs::{JobSpec, new_record};
 use crate::memory;
@@ -111,8 +112,8 @@ fn read_request(app: &App, head: &Head, body: &[u8]) -> ApiResult<Request> {
     let budget = to_budget(parsed.budget, "budget", app.config.defaults.edit_samples, &app.config)?;
     let focus = parsed.focus.as_ref().map(|focus| to_focus(focus, &head.world)).transpose()?;
     let priority = parsed.priority;
-    let drag = edits.iter().any(|edit| matches!(edit, Edit::MoveLight { drag: true, .. }));
-    let spec = JobSpec { kind: JobKind::Edit, priority, budget, focus, drag, seed: 0, sequence: head.sequence };
+    let dragged = dragged_by(&edits);
+    let spec = JobSpec { kind: JobKind::Edit, priority, budget, focus, dragged, seed: 0, sequence: head.sequence };
     Ok(Request { parsed, edits, spec })
 }
 

@@ -36,8 +36,7 @@ impl Ticket {
         state.handle(&app, scene.id.clone(), Some(scene.clone()), record);
         state.queue.push(record.job.clone());
         accept();
-        let running = state.queue.running_on(scene.number).and_then(|number| state.handles.get(&number));
-        running.into_iter().for_each(|handle| handle.stop.supersede());
+        state.supersede(scene.number);
         state.tell(&app, self.number);
         let job = record.job.clone();
         app.start_what_can(&mut state);
@@ -312,12 +311,10 @@ impl App {
             let Some(handle) = state.handles.get_mut(&number) else { break };
             let Some(scene) = handle.scene.clone() else { break };
             handle.stop = Arc::new(Stop::default());
-            if state.queue.open_of(scene.number).iter().any(|other| *other > number) {
-                handle.stop.supersede();
-            }
             let mut spec = handle.spec.clone();
             spec.budget = budgets.into_iter().fold(spec.budget, JobBudget::both);
-            let run = worker::Run { job: number, scene, stop: handle.stop.clone(), spec };
+            let run = worker::Run { job: number, scene: scene.clone(), stop: handle.stop.clone(), spec };
+            state.supersede(scene.number);
             worker::spawn(self.clone(), run, &pool);
         }
         self.refine_if_idle(state);
@@ -326,6 +323,20 @@ impl App {
 }
 
 impl State {
+    /// Tells the job of a scene where the next one is the next step of the same drag.
+    fn supersede(&self, scene: SceneNumber) {
+        let Some(running) = self.queue.running_on(scene) else { return };
+        let next = self.queue.open_of(scene).into_iter().find(|job| *job > running);
+        let next = next.and_then(|job| Some((self.queue.get(job)?, self.handles.get(&job)?)));
+        if let Some((job, next)) = next
+            && let Some(handle) = self.handles.get(&running)
+            && job.is_in_line()
+            && handle.spec.dragged.iter().all(|light| next.spec.dragged.contains(light))
+        {
+            handle.stop.supersede();
+        }
+    }
+
     /// The job with those behind it on its scene that are better lit together with it: the last of them does the work.
     fn batch(&self, first: JobNumber) -> Vec<JobNumber> {
         let mut batch = vec![first];

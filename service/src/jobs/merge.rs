@@ -27,6 +27,15 @@ pub(crate) fn count(edits: &[Edit]) -> usize {
     edits.iter().map(|edit| if let Edit::Relight { lights } = edit { lights.len() } else { 1 }).sum()
 }
 
+/// Lights that are dragged, where the edits do nothing else.
+pub(crate) fn dragged_by(edits: &[Edit]) -> Vec<String> {
+    let dragged = |edit: &Edit| match edit {
+        Edit::MoveLight { light, drag: true, .. } => Some(light.clone()),
+        _ => None,
+    };
+    edits.iter().map(dragged).collect::<Option<_>>().unwrap_or_default()
+}
+
 fn split(edit: Edit) -> Vec<Edit> {
     match edit {
         Edit::Relight { lights } => lights.into_iter().map(|light| Edit::Relight { lights: vec![light] }).collect(),

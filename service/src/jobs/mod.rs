@@ -42,8 +42,9 @@ pub(crate) struct JobSpec {
     pub(crate) budget: JobBudget,
     pub(crate) focus: Option<Focus>,
     pub(crate) seed: u64,
-    /// A light is dragged: what is quick comes first, and the next edit of the scene ends the rest.
-    pub(crate) drag: bool,
+    /// Lights that are dragged, where the request does nothing else: an estimate comes first, and the next step of the
+    /// drag ends the rest.
+    pub(crate) dragged: Vec<String>,
     /// Light everything up to this edit.
     pub(crate) sequence: Sequence,
 }
@@ -66,7 +67,7 @@ impl Stop {
         self.0.fetch_max(Stop::CANCEL, Ordering::Relaxed);
     }
 
-    /// Another edit of the scene waits: a drag ends with what it has, and has succeeded.
+    /// The next step of a drag waits: this one ends with its estimate, and has succeeded.
     pub(crate) fn supersede(&self) {
         self.1.store(true, Ordering::Relaxed);
     }
@@ -227,7 +228,7 @@ impl State {
             job,
             budget: spec.budget,
             focus: spec.focus.map(Into::into),
-            drag: spec.drag,
+            dragged: spec.dragged.clone(),
             seed: spec.seed,
             sequence: spec.sequence,
         })
@@ -239,7 +240,7 @@ impl State {
             priority: record.job.priority,
             budget: record.budget,
             focus: record.focus.map(Into::into),
-            drag: record.drag,
+            dragged: record.dragged.clone(),
             seed: record.seed,
             sequence: record.sequence,
         };
@@ -255,7 +256,7 @@ pub(crate) fn new_record(number: JobNumber, scene: &SceneEntry, spec: &JobSpec) 
         job: Job::new(number, scene.number, spec.kind, spec.priority, Timestamp::now()),
         budget: spec.budget,
         focus: spec.focus.map(Into::into),
-        drag: spec.drag,
+        dragged: spec.dragged.clone(),
         seed: spec.seed,
         sequence: spec.sequence,
     }

@@ -117,8 +117,10 @@ pub(crate) struct JobObserver<'a> {
     state: Mutex<State>,
     /// There is a complete map, so time may end the work.
     complete: AtomicBool,
-    /// The next edit of the scene may end it, too.
-    pub(crate) yields: bool,
+    /// What is under way is a step of a drag: the next one ends it once there is anything to show.
+    pub(crate) drags: bool,
+    /// An estimate is published.
+    estimated: AtomicBool,
 }
 
 #[derive(Default)]
@@ -154,7 +156,8 @@ impl<'a> JobObserver<'a> {
             slots: 0,
             state: Mutex::default(),
             complete: AtomicBool::new(false),
-            yields: false,
+            drags: false,
+            estimated: AtomicBool::new(false),
         }
     }
 
@@ -162,6 +165,7 @@ impl<'a> JobObserver<'a> {
     pub(crate) fn begin(&mut self, sequence: Sequence, floor: Option<f32>) {
         self.sequence = sequence;
         self.complete = AtomicBool::new(false);
+        (self.drags, self.estimated) = (false, AtomicBool::new(false));
         let mut state = self.lock();
         state.latest = None;
         state.held_back = None;
@@ -192,9 +196,15 @@ impl<'a> JobObserver<'a> {
             && self.budget.max_seconds.is_some_and(|max| self.elapsed().as_secs_f64() > max * GRACE)
     }
 
-    /// There is a map to show, and another edit waits.
+    /// There is something to show, and the next step of the drag waits.
     fn is_superseded(&self) -> bool {
-        self.yields && self.stop.is_superseded() && self.complete.load(Ordering::Relaxed)
+        let is_shown = self.estimated.load(Ordering::Relaxed) || self.complete.load(Ordering::Relaxed);
+        self.drags && self.stop.is_superseded() && is_shown
+    }
+
+    /// The next step of the drag has ended this one before it had more than an estimate.
+    pub(crate) fn ended_as_estimate(&self) -> bool {
+        self.is_superseded() && !self.stop.is_requested() && !self.complete.load(Ordering::Relaxed)
     }
 
     fn report(&self, progress: &Progress, version: Option<u64>) {
@@ -271,10 +281,19 @@ impl Observer for JobObserver<'_> {
 impl JobObserver<'_> {
     /// Publishes a map of this job.
     pub(crate) fn publish(&self, map: &Arc<LightMap>, progress: &Progress) {
+        self.publish_as(map, progress, progress.samples_per_element > 0);
+    }
+
+    /// Publishes an estimate: nothing starts from it.
+    pub(crate) fn publish_estimate(&self, map: &Arc<LightMap>, progress: &Progress) {
+        self.publish_as(&lengthened(map, self.slots), progress, false);
+        self.estimated.store(true, Ordering::Relaxed);
+    }
+
+    fn publish_as(&self, map: &Arc<LightMap>, progress: &Progress, is_right: bool) {
         if !self.app.may_publish(self.scene) {
             return;
         }
-        let is_right = progress.samples_per_element > 0;
         let lit = Lit { map, estimated_rmse: progress.estimated_rmse, is_right };
         let published = self.scene.snapshot(self.sequence, lit);
         let is_due = {

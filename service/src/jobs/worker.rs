@@ -4,12 +4,13 @@ use std::sync::Arc;
 
 use rayon::ThreadPool;
 
+use super::merge::{self, dragged_by};
 use super::observer::JobObserver;
 use super::queue::{JobNumber, Outcome};
-use super::{JobSpec, Stop, merge};
+use super::{JobSpec, Stop};
 use crate::compute::catching;
 use crate::engine::{
-    Budget, Canceled, Edit, LightMap, Observer, Pass, Progress, Transition, Update, World, carry_over, have_same_slots,
+    Budget, Canceled, Edit, LightMap, Pass, Progress, Transition, Update, World, carry_over, have_same_slots,
     lengthened, with_layers_of,
 };
 use crate::state::App;
@@ -77,7 +78,6 @@ fn after(app: &Arc<App>, scene: &Arc<SceneEntry>, sequence: Sequence) {
 fn light(app: &Arc<App>, run: &Run) -> Outcome {
     let Run { job, scene, stop, spec } = run;
     let mut observer = JobObserver::new(app, scene, *job, spec.budget, stop);
-    observer.yields = spec.drag;
     if app.may_publish(scene)
         && let Some(published) = scene.show(spec.sequence)
     {
@@ -108,13 +108,14 @@ fn light(app: &Arc<App>, run: &Run) -> Outcome {
                 scene.earlier.remember(&transition.before, &map);
                 if let Some(known) = scene.earlier.recall(&transition.after) {
                     let known = lengthened(&known, step.slots);
-                    map = if step.relights { with_layers_of(known, &map, &transition.after.scene) } else { known };
+                    map = if step.relights() { with_layers_of(known, &map, &transition.after.scene) } else { known };
                     restore(&observer, scene, step.sequence, &transition.after, &map);
                     continue;
                 }
                 scene.drag.drop_stale(&transition.after);
-                if spec.drag {
-                    first_frame(scene, transition, &map, spec.seed, &observer);
+                observer.drags = i == last && !dragged_by(&step.edits).is_empty();
+                if observer.drags {
+                    first_frame(&observer, scene, transition, &map, spec.seed);
                 }
                 let work = Update {
                     transition,
@@ -124,6 +125,11 @@ fn light(app: &Arc<App>, run: &Run) -> Outcome {
                     seed: spec.seed.wrapping_add(i as u64),
                 };
                 let result = engine.update(&work, &observer).map(|map| lengthened(&map, step.slots));
+                if result.is_err() && observer.ended_as_estimate() {
+                    // The estimate stays in sight, but the next step starts from the light that is right.
+                    step.as_unlit().into_iter().for_each(|unlit| scene.fold_unlit(unlit));
+                    return Outcome::Succeeded;
+                }
                 match settle_end(&observer, scene, step.sequence, result) {
                     Ok(lit) => map = lit,
                     Err(outcome) => return outcome,
@@ -137,15 +143,18 @@ fn light(app: &Arc<App>, run: &Run) -> Outcome {
 /// Shows a dragged light at its new place as soon as may be, where the scene's transport has been sampled; else samples
 /// it, for the frames to come.
 fn first_frame(
+    observer: &JobObserver<'_>,
     scene: &SceneEntry,
     transition: &Transition,
     map: &LightMap,
     seed: u64,
-    observer: &JobObserver<'_>,
 ) -> Option<()> {
-    let basis = scene.drag.of(&transition.after, seed, observer)?;
+    let basis = match scene.drag.get(&transition.after) {
+        Some(basis) => basis,
+        None => scene.drag.keep(observer.app.config.engine.drag_basis(&transition.after, seed, observer).ok()?),
+    };
     let frame = basis.frame(transition, map, seed, observer).ok()??;
-    observer.snapshot(&Arc::new(frame), &Progress::at_once(Pass::Direct, 1, None));
+    observer.publish_estimate(&Arc::new(frame), &Progress::at_once(Pass::Direct, 1, None));
     Some(())
 }
 
@@ -168,12 +177,21 @@ struct Step {
     transition: Option<Arc<Transition>>,
     /// From where the map is to there, without light.
     carries: Vec<Arc<Transition>>,
-    /// Nothing but strengths of lights changes.
-    relights: bool,
+    /// What is asked for.
+    edits: Arc<[Edit]>,
 }
 
-fn relights(edits: &[Edit]) -> bool {
-    edits.iter().all(|edit| matches!(edit, Edit::Relight { .. }))
+impl Step {
+    /// Nothing but strengths of lights changes.
+    fn relights(&self) -> bool {
+        self.edits.iter().all(|edit| matches!(edit, Edit::Relight { .. }))
+    }
+
+    /// As one edit that is still to be lit, where clients know its slots.
+    fn as_unlit(&self) -> Option<Unlit> {
+        let transition = self.transition.clone().filter(|transition| transition.after.slots() == self.slots)?;
+        Some(Unlit { sequence: self.sequence, transition, edits: self.edits.clone() })
+    }
 }
 
 /// What is due, in as few steps as give the same result.
@@ -184,9 +202,9 @@ fn steps(due: Vec<Unlit>) -> Vec<Step> {
     let each = |unlit: Unlit| Step {
         sequence: unlit.sequence,
         slots: unlit.transition.after.slots(),
-        relights: relights(&unlit.edits),
         transition: Some(unlit.transition),
         carries: Vec::new(),
+        edits: unlit.edits,
     };
     due.into_iter().map(each).collect()
 }
@@ -201,7 +219,6 @@ fn merged(due: &[Unlit]) -> Option<Step> {
         return None;
     }
     let after = &last.transition.after;
-    let relights = relights(&fewer);
     let transition = match fewer.is_empty() {
         true => None,
         false => {
@@ -213,7 +230,7 @@ fn merged(due: &[Unlit]) -> Option<Step> {
     };
     tracing::info!(edits = count, lit = fewer.len(), "merged");
     let carries = due.iter().map(|unlit| unlit.transition.clone()).collect();
-    Some(Step { sequence: last.sequence, slots: after.slots(), transition, carries, relights })
+    Some(Step { sequence: last.sequence, slots: after.slots(), transition, carries, edits: fewer.into() })
 }
 
 /// Takes over the map that a piece of work ends with, if it ends with one that is right. A job out of time ends well

@@ -186,6 +186,16 @@ impl Lighting {
         self.drop_lit(sequence);
     }
 
+    /// Puts one edit in the place of all that are not lit yet up to its own, which add up to it: a long drag must not
+    /// leave a long list. Their geometry is shown already, in the same slots.
+    pub(crate) fn fold(&mut self, unlit: Unlit) {
+        let (first, last) = (self.lit_sequence, unlit.sequence);
+        if first < last && last <= self.shown_sequence {
+            self.unlit.retain(|sequence, _| !(first + 1..=last).contains(sequence));
+            self.unlit.insert(last, unlit);
+        }
+    }
+
     /// No map can be trusted: the next job bakes.
     pub(crate) fn distrust(&mut self) {
         self.lit = None;

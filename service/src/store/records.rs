@@ -33,7 +33,7 @@ pub(crate) struct JobRecord {
     pub(crate) budget: JobBudget,
     pub(crate) focus: Option<StoredFocus>,
     #[serde(default)]
-    pub(crate) drag: bool,
+    pub(crate) dragged: Vec<String>,
     pub(crate) seed: u64,
     pub(crate) sequence: Sequence,
 }

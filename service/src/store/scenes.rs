@@ -220,6 +220,11 @@ impl SceneEntry {
         self.lighting().set_lit(sequence, map);
     }
 
+    /// Edits up to that of `unlit` that are not lit yet add up to it.
+    pub(crate) fn fold_unlit(&self, unlit: Unlit) {
+        self.lighting().fold(unlit);
+    }
+
     pub(crate) fn distrust(&self) {
         self.lighting().distrust();
     }
