@@ -89,7 +89,7 @@ fn drag(world: &World) {
 fn relights(layers: usize, world: &World) {
     let map = bake(world, &Budget { samples_per_element: 1, ..BUDGET }, 1, &Unobserved).expect("nobody cancels");
     let (mut seconds, mut reads) = (Vec::new(), Vec::new());
-    let light = map.layers[1].lights.iter().map(|light| light.name.clone());
+    let light = map.layers[0].lights.iter().map(|light| light.name.clone());
     let lights = light.map(|light| Relight { light, color: None, intensity: Some(3.0) }).collect();
     let transition = world.apply(&[Edit::Relight { lights }]).expect("a relight");
     for run in 0..3 * RUNS as u64 {
@@ -134,7 +134,7 @@ fn boxed(at: Vec3) -> Object {
     Object::new("box", Mesh::cuboid(at, at + Vec3::new(0.6, 0.9, 0.5)), Material::diffuse(Vec3::new(0.6, 0.5, 0.3)))
 }
 
-/// All lamps in `layers` groups.
+/// All lamps in `layers` layers, the shared one among them.
 fn grouped(world: &World, lamps: usize, layers: usize) -> World {
     if layers == 1 {
         return world.clone();
@@ -143,7 +143,7 @@ fn grouped(world: &World, lamps: usize, layers: usize) -> World {
         group: Some(format!("group {}", i % layers)),
         lights: vec![format!("lamp {i}")],
     };
-    world.apply(&(0..lamps).map(group).collect::<Vec<_>>()).expect("groups").after
+    world.apply(&(0..lamps).filter(|i| i % layers != 0).map(group).collect::<Vec<_>>()).expect("groups").after
 }
 
 fn room(lamps: usize, spacing: f32) -> World {

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use crate::accumulate::Accumulator;
 use crate::job::{Budget, Canceled, Observer, Pass};
-use crate::layers::{Header, Stack, groups_of, weight_of, whole, with_layers};
+use crate::layers::{Computed, Header, Stack, groups_of, weights_of, weights_within, with_layers};
 use crate::lightmap::LightMap;
 use crate::random::{Pcg32, subseed};
 use crate::rounds::{Phase, Round, Rounds};
@@ -29,13 +29,13 @@ const ROUGH_SAMPLES: u32 = 4;
 pub fn bake(world: &World, budget: &Budget, seed: u64, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
     let work = Work::new(observer);
     let seed = subseed(seed, 0xba6e);
-    let map = bake_layers(world, &groups_of(&world.scene), &|map| map, budget, seed, &work)?;
+    let map = bake_map(world, &groups_of(&world.scene), &|map| map, budget, seed, &work)?;
     Ok(map.unwrap_or_else(|| Arc::new(LightMap::black(world.slots()))))
 }
 
-/// Bakes the layers of some headers, or without any all light together; none where no round was run. `improve` makes
-/// what is published of what was baked so far, once its variance is known.
-pub(crate) fn bake_layers(
+/// Bakes a map of the layers of some headers, or without any of all light together; none where no round was run.
+/// `improve` makes what is published of what was baked so far, once its variance is known.
+pub(crate) fn bake_map(
     world: &World,
     headers: &[Header],
     improve: &dyn Fn(LightMap) -> LightMap,
@@ -47,36 +47,40 @@ pub(crate) fn bake_layers(
         let finish = |stack: Stack<Vec3>| improve(stack.into_map());
         return bake_stack(world, &[Vec3::ONE], &finish, budget, seed, work);
     }
-    let headers: Vec<&Header> = headers.iter().collect();
-    let weight = |header: &&Header| weight_of(&header.lights, &world.scene).unwrap_or(Vec3::ONE);
-    let weights: Vec<Vec3> = headers.iter().map(weight).collect();
-    let lit = world.only_layers(&headers, &weights);
-    with_layers!(headers.len(), bake_headers(&lit, &headers, &weights, improve, budget, seed, work))
+    let weights = weights_of(headers, &world.scene);
+    let finish = |computed: Computed| improve(computed.into_map(&weights));
+    bake_layers(world, headers, &finish, budget, seed, work)
 }
 
-fn bake_headers<V: Value>(
+/// Bakes layers along the same rays; none where no round was run. `finish` makes what is published of them.
+pub(crate) fn bake_layers(
     world: &World,
-    headers: &[&Header],
-    weights: &[Vec3],
-    improve: &dyn Fn(LightMap) -> LightMap,
+    headers: &[Header],
+    finish: &dyn Fn(Computed) -> LightMap,
     budget: &Budget,
     seed: u64,
     work: &Work,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
-    let finish = |stack: Stack<V>| {
-        let mut map = whole(stack.to_layers(headers), weights, 0.0);
-        // A single layer is computed at its own scale.
-        if headers.len() > 1 {
-            map.variance = stack.variance;
-        }
-        improve(map)
-    };
-    let own = if headers.len() > 1 { weights } else { &[Vec3::ONE] };
-    bake_stack(world, own, &finish, budget, seed, work)
+    let weights = weights_of(headers, &world.scene);
+    let lit = world.only_layers(headers, &weights);
+    with_layers!(headers.len(), bake_headers(&lit, headers, &weights, finish, budget, seed, work))
+}
+
+fn bake_headers<V: Value>(
+    world: &World,
+    headers: &[Header],
+    weights: &[Vec3],
+    finish: &dyn Fn(Computed) -> LightMap,
+    budget: &Budget,
+    seed: u64,
+    work: &Work,
+) -> Result<Option<Arc<LightMap>>, Canceled> {
+    let finish = |stack: Stack<V>| finish(stack.into_computed(headers));
+    bake_stack(world, weights_within(weights), &finish, budget, seed, work)
 }
 
 /// Bakes some layers together; none where no round was run.
-pub(crate) fn bake_stack<V: Value>(
+fn bake_stack<V: Value>(
     world: &World,
     weights: &[Vec3],
     finish: &dyn Fn(Stack<V>) -> LightMap,

@@ -89,7 +89,7 @@ impl DragBasis {
     }
 
     fn layer(&self, world: &World, header: &Header, old: &Layer, seed: u64, work: &Work) -> Result<Layer, Canceled> {
-        let lit = world.only_layers(&[header], &[Vec3::ONE]);
+        let lit = world.only_layers(std::slice::from_ref(header), &[Vec3::ONE]);
         let found: Vec<Vec3> = direct_of(&lit, &self.slots, LIGHT_SAMPLES, &Effort::default(), seed, work)?;
         let mut direct = vec![Vec3::ZERO; world.slots()];
         self.slots.iter().zip(found).for_each(|(&slot, light)| direct[slot as usize] = light);

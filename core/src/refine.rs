@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use crate::bake::bake_layers;
+use crate::bake::bake_map;
 use crate::job::{Budget, Canceled, Observer};
 use crate::layers::headers_of_layers;
 use crate::lightmap::LightMap;
@@ -42,7 +42,7 @@ pub(crate) fn refine_with(
         // A first round alone cannot tell its variance.
         if new.variance.iter().any(|v| *v > 0.0) { blend(world, map, new) } else { map.clone() }
     };
-    bake_layers(world, &headers_of_layers(map), &improve, budget, seed, work)
+    bake_map(world, &headers_of_layers(map), &improve, budget, seed, work)
 }
 
 /// The average of two independent estimates, object by object.

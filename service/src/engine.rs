@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use glam::{DMat4, DVec3, Vec3};
 use rebake_core::export::{EXR_WIDTH, write_exr};
-pub(crate) use rebake_core::layers::{Layer, MAX_LAYERS, SHARED_LAYER};
+pub(crate) use rebake_core::layers::{Layer, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER};
 use rebake_core::scene::{Light, LightKind, LoadLimits, load_glb};
 pub use rebake_core::scene::{LoadError, Scene};
 pub use rebake_core::surface::SurfaceError;
@@ -107,12 +107,7 @@ pub(crate) fn load(glb: &[u8], limits: &Limits) -> Result<Scene, LoadError> {
 
 /// Mean light of a map over the scene's area, mean over RGB.
 pub(crate) fn mean_light(world: &World, map: &LightMap) -> f64 {
-    let (mut sum, mut area) = (0.0, 0.0);
-    for (slot, its_area) in world.areas().iter().enumerate() {
-        sum += f64::from(map.total(slot).element_sum()) / 3.0 * f64::from(*its_area);
-        area += f64::from(*its_area);
-    }
-    if area > 0.0 { sum / area } else { 0.0 }
+    world.area_mean(0..world.slots(), |slot| f64::from(map.total(slot).element_sum()) / 3.0)
 }
 
 /// Adds constant radiance from outside; false where the scene has a light of that name.

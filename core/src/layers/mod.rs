@@ -6,6 +6,7 @@
 //! somebody relights a light or groups lights: "model only what a scene needs".
 
 mod plan;
+mod regroup;
 mod stack;
 #[cfg(test)]
 mod tests;
@@ -21,11 +22,14 @@ use crate::scene::Scene;
 use crate::world::{Emitters, World};
 
 pub(crate) use plan::{Header, groups_of, headers_of_layers};
-pub(crate) use stack::Stack;
+pub(crate) use stack::{Computed, Stack, weights_within};
 pub(crate) use update::{moved_layers, update_layers, with_layers};
 
 /// A map has at most so many layers. Where more lights are relit one by one, those that are left share a layer.
 pub const MAX_LAYERS: usize = 16;
+
+/// So many groups of lights have layers of their own: the lights in none need one, too.
+pub const MAX_GROUPS: usize = MAX_LAYERS - 1;
 
 /// Name of the layer of the lights that share one by default.
 pub const SHARED_LAYER: &str = "shared";
@@ -82,6 +86,11 @@ pub(crate) fn strength_of(scene: &Scene, name: &str) -> Option<Vec3> {
     scene.lights.iter().find(|light| light.name == name).map(|light| light.strength())
 }
 
+/// What the layers of some headers weigh in a scene.
+pub(crate) fn weights_of(headers: &[Header], scene: &Scene) -> Vec<Vec3> {
+    headers.iter().map(|header| weight_of(&header.lights, scene).unwrap_or(Vec3::ONE)).collect()
+}
+
 impl LightMap {
     /// What every layer weighs in `scene`.
     pub fn layer_weights(&self, scene: &Scene) -> Vec<Vec3> {
@@ -114,6 +123,13 @@ pub(crate) fn whole(layers: Vec<Arc<Layer>>, weights: &[Vec3], correlation: f64)
         out
     };
     let (direct, indirect) = (sum(|l| &l.direct), sum(|l| &l.indirect));
+    let variance = variance_of(&layers, weights, correlation);
+    LightMap { direct, indirect, variance, layers }
+}
+
+/// Variance of the weighted sum of layers, per slot.
+fn variance_of(layers: &[Arc<Layer>], weights: &[Vec3], correlation: f64) -> Vec<f32> {
+    let len = layers.first().map_or(0, |layer| layer.direct.len());
     let correlation = correlation as f32;
     let factors: Vec<f32> = weights.iter().map(|w| w.length_squared() / 3.0).collect();
     let mut variance = vec![0.0f32; len];
@@ -132,14 +148,15 @@ pub(crate) fn whole(layers: Vec<Arc<Layer>>, weights: &[Vec3], correlation: f64)
             *sum = (*sum + correlation * (*equal * *equal - *sum)).max(0.0);
         }
     });
-    LightMap { direct, indirect, variance, layers }
+    variance
 }
 
 /// The map of layers that take the place of those of `old`, one by one, with the weights of `after`.
 pub(crate) fn whole_of(layers: Vec<Arc<Layer>>, old: &LightMap, before: &Scene, after: &Scene) -> LightMap {
     let correlation = correlation(old, &old.layer_weights(before));
-    let weights: Vec<Vec3> = layers.iter().map(|layer| weight_of(&layer.lights, after).unwrap_or(Vec3::ONE)).collect();
-    whole(layers, &weights, correlation)
+    let map = LightMap { layers, ..LightMap::default() };
+    let weights = map.layer_weights(after);
+    whole(map.layers, &weights, correlation)
 }
 
 /// Slots per task: two parts of it fit in the cache.
@@ -149,8 +166,7 @@ const CHUNK: usize = 4096;
 const CORRELATION_SLOTS: usize = 1 << 14;
 
 /// How much the errors of layers, which share their rays, have in common: 0 not at all, 1 they are the same, below 0 they
-/// take from one another. From the
-/// variance of the whole, which was measured, and those of its layers.
+/// take from one another. From the variance of the whole, which was measured, and those of its layers.
 pub(crate) fn correlation(map: &LightMap, weights: &[Vec3]) -> f64 {
     if map.layers.len() < 2 {
         return 0.0;
@@ -181,7 +197,7 @@ const LEAST_IMPORTANCE: f32 = 0.05;
 impl World {
     /// This world with the lights of some layers only, at reference strengths, each tagged with its layer's position in
     /// `layers`. `weights` tell how much their samples matter.
-    pub(crate) fn only_layers(&self, layers: &[&Header], weights: &[Vec3]) -> World {
+    pub(crate) fn only_layers(&self, layers: &[Header], weights: &[Vec3]) -> World {
         let (mut list, mut skies) = (Vec::new(), Vec::new());
         for (index, layer) in layers.iter().enumerate() {
             for light in &layer.lights {

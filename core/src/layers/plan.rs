@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use glam::Vec3;
 
-use super::{LayerLight, MAX_LAYERS, SHARED_LAYER, strength_of, weight_of};
+use super::{LayerLight, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER, strength_of, weight_of};
 use crate::lightmap::LightMap;
 use crate::scene::Scene;
 
@@ -13,6 +13,13 @@ use crate::scene::Scene;
 pub(crate) struct Header {
     pub name: String,
     pub lights: Vec<LayerLight>,
+}
+
+impl Header {
+    /// Whether none of its lights was there, at that place, before.
+    pub(super) fn is_new(&self, before: &Scene, after: &Scene) -> bool {
+        self.lights.iter().all(|light| kind_of(before, &light.name) != kind_of(after, &light.name))
+    }
 }
 
 /// What a layer is put together from.
@@ -57,18 +64,18 @@ pub(crate) fn headers_of_layers(map: &LightMap) -> Vec<Header> {
     map.layers.iter().map(|layer| Header { name: layer.name.clone(), lights: layer.lights.clone() }).collect()
 }
 
-/// Layers of a scene that is baked: one per group, one of the lights in none; empty where there is no group.
+/// Layers of a scene that is baked: one per group, one of the lights in none; empty where there is no group. Of more than
+/// [`MAX_GROUPS`], which no edit makes, the first by name count.
 pub(crate) fn groups_of(scene: &Scene) -> Vec<Header> {
     if scene.groups.is_empty() {
         return Vec::new();
     }
     let named: BTreeSet<&String> = scene.groups.values().collect();
-    // Where the groups leave no layer for the others, those go with the first.
-    let others =
-        if named.len() < MAX_LAYERS { SHARED_LAYER } else { named.first().map_or(SHARED_LAYER, |n| n.as_str()) };
+    let named: BTreeSet<&String> = named.into_iter().take(MAX_GROUPS).collect();
     let mut groups: BTreeMap<&str, Header> = BTreeMap::new();
     for light in &scene.lights {
-        let name = scene.groups.get(&light.name).map_or(others, String::as_str);
+        let group = scene.groups.get(&light.name).filter(|name| named.contains(name));
+        let name = group.map_or(SHARED_LAYER, String::as_str);
         let header = groups.entry(name).or_insert_with(|| Header { name: name.to_owned(), lights: Vec::new() });
         header.lights.push(LayerLight { name: light.name.clone(), reference: light.strength() });
     }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Header, Layer};
+use super::{Header, Layer, whole};
 use crate::accumulate::Accumulator;
 use crate::lightmap::LightMap;
 use crate::transport::Value;
@@ -21,6 +21,29 @@ fn interleaved(layers: &[Arc<Layer>], len: usize) -> Vec<f32> {
         out.iter_mut().zip(layers).for_each(|(out, layer)| *out = layer.variance[slot]);
     });
     out
+}
+
+/// Layers that were computed along the same rays.
+pub(crate) struct Computed {
+    pub layers: Vec<Arc<Layer>>,
+    /// Variance of their weighted sum. None for a single one, which is computed at its own scale.
+    pub variance: Option<Vec<f32>>,
+}
+
+impl Computed {
+    /// The map of these layers alone.
+    pub(crate) fn into_map(self, weights: &[Vec3]) -> LightMap {
+        let map = whole(self.layers, weights, 0.0);
+        match self.variance {
+            Some(variance) => LightMap { variance, ..map },
+            None => map,
+        }
+    }
+}
+
+/// What each layer weighs while some are computed together: a single one is computed at its own scale.
+pub(crate) fn weights_within(weights: &[Vec3]) -> &[Vec3] {
+    if weights.len() > 1 { weights } else { &[Vec3::ONE] }
 }
 
 /// Light of some layers per slot.
@@ -83,9 +106,14 @@ impl<V: Value> Stack<V> {
     }
 
     /// The layers, with their headers.
-    pub(crate) fn to_layers(&self, headers: &[&Header]) -> Vec<Arc<Layer>> {
+    pub(crate) fn into_computed(self, headers: &[Header]) -> Computed {
+        let layers = self.to_layers(headers);
+        Computed { layers, variance: (headers.len() > 1).then_some(self.variance) }
+    }
+
+    fn to_layers(&self, headers: &[Header]) -> Vec<Arc<Layer>> {
         let layers = headers.len();
-        let of = |(k, header): (usize, &&Header)| {
+        let of = |(k, header): (usize, &Header)| {
             let take = |values: &[V]| values.par_iter().with_min_len(CHUNK).map(|v| v.layer(k)).collect();
             let variance = match layers {
                 1 => self.variance.clone(),
@@ -98,7 +126,10 @@ impl<V: Value> Stack<V> {
     }
 
     /// In the slots of the world after a transition: old values where elements stay, zero where they go or come.
-    pub(crate) fn carried_over(&self, transition: &Transition) -> Stack<V> {
+    pub(crate) fn carried_over(self, transition: &Transition) -> Stack<V> {
+        if transition.keeps_slots() {
+            return self;
+        }
         let layers = self.layers_of_variance();
         Stack {
             direct: transition.carry(&self.direct, 1),

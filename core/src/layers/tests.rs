@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
 
-use super::plan::{Header, Piece, Plan, wants_layers};
-use super::{Layer, LayerLight, MAX_LAYERS, weight_of};
+use super::plan::{Header, Piece, Plan, groups_of, wants_layers};
+use super::{Layer, LayerLight, MAX_LAYERS, SHARED_LAYER, weight_of};
 use crate::lightmap::LightMap;
 use crate::scene::{Light, LightKind, Scene};
 
@@ -110,4 +110,15 @@ fn there_are_never_more_layers_than_fit() {
     // Those that had to stay together change in it, and hold their present strength.
     assert_eq!(plan.changed, [0]);
     assert!(plan.after.iter().all(|(h, _)| weight_of(&h.lights, &scene(&after, &[])).is_some()));
+}
+
+#[test]
+fn more_groups_than_layers_share_one() {
+    let names: Vec<String> = (0..20).map(|k| format!("lamp-{k:02}")).collect();
+    let lights: Vec<(&str, f32)> = names.iter().map(|name| (name.as_str(), 1.0)).collect();
+    let groups: Vec<(&str, &str)> = names.iter().map(|name| (name.as_str(), name.as_str())).collect();
+    let headers = groups_of(&scene(&lights, &groups));
+    assert_eq!(headers.len(), MAX_LAYERS);
+    let shared = headers.iter().find(|header| header.name == SHARED_LAYER).unwrap();
+    assert_eq!(shared.lights.len(), 20 - (MAX_LAYERS - 1));
 }

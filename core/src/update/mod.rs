@@ -21,7 +21,7 @@ use glam::Vec3;
 
 use self::updater::Updater;
 use crate::accumulate::Accumulator;
-use crate::bake::{Baker, bake_stack};
+use crate::bake::Baker;
 use crate::focus::Focus;
 use crate::job::{Budget, Canceled, Observer};
 use crate::layers::{Stack, update_layers};
@@ -86,15 +86,8 @@ fn update_whole(
     goal: &Goal,
     work: &Work,
 ) -> Result<Option<Updated>, Canceled> {
-    let finish = |stack: &Stack<Vec3>| stack.clone().into_map();
-    let stage = Stage {
-        transition,
-        old: Stack::of_whole(map),
-        weights: &[Vec3::ONE],
-        around: None,
-        from_scratch: false,
-        finish: &finish,
-    };
+    let finish = |stack: Stack<Vec3>| stack.into_map();
+    let stage = Stage { transition, old: Stack::of_whole(map), weights: &[Vec3::ONE], around: None, finish: &finish };
     run_stage(stage, goal, work)
 }
 
@@ -117,20 +110,14 @@ pub(crate) struct Stage<'a, V> {
     /// All light there is before the change, direct + indirect, per slot of the new world; none where it is the old
     /// light of this stage.
     pub around: Option<&'a [Vec3]>,
-    /// Nothing of the old light stays: the layers are baked, with a gather at full resolution.
-    pub from_scratch: bool,
     /// Makes a light map of the layers so far.
-    pub finish: &'a dyn Fn(&Stack<V>) -> LightMap,
+    pub finish: &'a dyn Fn(Stack<V>) -> LightMap,
 }
 
 /// Runs a stage to its goal; none where the observer planned no round.
 pub(crate) fn run_stage<V: Value>(stage: Stage<V>, goal: &Goal, work: &Work) -> Result<Option<Updated>, Canceled> {
     let (world, budget, seed) = (&stage.transition.after, goal.budget, goal.seed);
     let (weights, finish) = (stage.weights, stage.finish);
-    if stage.from_scratch {
-        let map = bake_stack(world, weights, &|stack| finish(&stack), budget, seed, work)?;
-        return Ok(map.map(|map| Updated { map, baked: false }));
-    }
     let updater = Updater::new(stage, work);
     let first = goal.focus.map(|f| updater.look_first(f, budget, subseed(seed, 0xf0c), work)).transpose()?.flatten();
     let extents = updater.extents(|_| true);
@@ -145,7 +132,7 @@ pub(crate) fn run_stage<V: Value>(stage: Stage<V>, goal: &Goal, work: &Work) -> 
         baker.get_or_init(|| Baker::new(world, weights, seed, work)).round(r)
     };
     let compose = |s: &Accumulator<V>| {
-        finish(&match (baker.get(), &first) {
+        finish(match (baker.get(), &first) {
             (Some(baker), _) => baker.compose(s),
             (None, None) => updater.compose(s),
             (None, Some(first)) => updater.merge(first, updater.compose(s), s.samples()),

@@ -88,9 +88,7 @@ impl<'a, V: Value> Updater<'a, V> {
 
     /// Area-weighted mean over the rows that keep an old value.
     pub(super) fn mean(&self, values: &[f32]) -> f64 {
-        let area = |slot: u32| f64::from(self.world.areas()[slot as usize]);
-        let sum: f64 = self.static_rows.iter().map(|&slot| area(slot) * f64::from(values[slot as usize])).sum();
-        sum / self.static_rows.iter().map(|&slot| area(slot)).sum::<f64>().max(f64::MIN_POSITIVE)
+        self.world.area_mean(self.static_rows.iter().map(|&slot| slot as usize), |slot| f64::from(values[slot]))
     }
 
     /// The same of what the old map brings along.
@@ -127,9 +125,8 @@ impl<'a, V: Value> Updater<'a, V> {
             let unseen = self.static_rows.iter().copied().filter(|&slot| !is_seen[slot as usize]);
             stack.blend(&self.old, unseen, 1.0, None);
             stack.fill_invalid(&self.world.validity);
-            let map = (self.stage.finish)(&stack);
-            last.replace(Some((stack, s.samples())));
-            map
+            last.replace(Some((stack.clone(), s.samples())));
+            (self.stage.finish)(stack)
         };
         let budget = Budget { samples_per_element: budget.samples_per_element.min(FOCUS_SAMPLES), target_rmse: None };
         // The rest of the map is out of date: nothing can be stated about the whole.

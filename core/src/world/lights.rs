@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use super::apply::Draft;
 use super::check::{check_strength, error, invalid};
 use crate::edit::{EditError, EditErrorKind, Relight};
-use crate::layers::MAX_LAYERS;
+use crate::layers::MAX_GROUPS;
 
 impl Draft {
     pub(super) fn relight(&mut self, relight: &Relight) -> Result<(), EditError> {
@@ -21,7 +21,7 @@ impl Draft {
     pub(super) fn set_apart(&mut self, light: &str) {
         let groups = &mut self.world.scene.groups;
         let names: BTreeSet<&str> = groups.values().map(String::as_str).collect();
-        if !groups.contains_key(light) && !names.contains(light) && names.len() + 1 < MAX_LAYERS {
+        if !groups.contains_key(light) && !names.contains(light) && names.len() < MAX_GROUPS {
             groups.insert(light.to_owned(), light.to_owned());
         }
     }
@@ -41,8 +41,8 @@ impl Draft {
             };
         }
         let groups: BTreeSet<&String> = self.world.scene.groups.values().collect();
-        if groups.len() > MAX_LAYERS {
-            let reason = format!("the scene would have more than {MAX_LAYERS} groups of lights");
+        if groups.len() > MAX_GROUPS {
+            let reason = format!("the scene would have more than {MAX_GROUPS} groups of lights");
             return Err(error("name", reason, EditErrorKind::TooLarge));
         }
         Ok(())

@@ -159,6 +159,17 @@ impl World {
         &self.geometry.areas
     }
 
+    /// Area-weighted mean over some slots; 0 where they have no area.
+    pub fn area_mean(&self, slots: impl IntoIterator<Item = usize>, value: impl Fn(usize) -> f64) -> f64 {
+        let (mut sum, mut total) = (0.0, 0.0);
+        for slot in slots {
+            let area = f64::from(self.geometry.areas[slot]);
+            sum += area * value(slot);
+            total += area;
+        }
+        if total > 0.0 { sum / total } else { 0.0 }
+    }
+
     /// Elements inside solids: their values are copied from neighbours, not computed.
     pub fn is_valid(&self, slot: usize) -> bool {
         self.validity.is_valid(slot)

@@ -63,7 +63,7 @@ impl Transition {
     }
 
     /// Whether every slot holds the same element in both worlds.
-    fn keeps_slots(&self) -> bool {
+    pub(crate) fn keeps_slots(&self) -> bool {
         Arc::ptr_eq(&self.before.geometry, &self.after.geometry)
     }
 
@@ -118,6 +118,11 @@ impl Transition {
     /// Whether an albedo changed.
     pub(crate) fn repaints_anything(&self) -> bool {
         self.repaint().iter().any(|change| *change != Vec3::ZERO)
+    }
+
+    /// Whether surfaces changed, their places or their albedos, and not only lights.
+    pub(crate) fn changes_surfaces(&self) -> bool {
+        self.moves_geometry() || !self.new_rows.is_empty() || self.repaints_anything()
     }
 
     /// Whether geometry changed (and not only light or albedo).

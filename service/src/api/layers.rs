@@ -8,15 +8,12 @@ use super::edit_lights::{check_group, check_products};
 use super::problem::{ApiResult, Kind, Problem};
 use super::types;
 use super::uploads::memory_problem;
-use crate::engine::{Edit, MAX_LAYERS, SHARED_LAYER, Scene, World};
+use crate::engine::{Edit, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER, Scene, World};
 use crate::memory::Promise;
 use crate::state::App;
 use crate::store::layers::{LAYER_BYTES, PublishedLayer};
 use crate::store::scenes::SceneEntry;
 use crate::store::versions::{Part, Published};
-
-/// Groups of lights; one layer is left for the lights in none.
-const MAX_GROUPS: usize = MAX_LAYERS - 1;
 
 /// The layers that an upload asks for.
 #[derive(Clone, Debug, Default, PartialEq)]

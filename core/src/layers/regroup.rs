@@ -1,0 +1,98 @@
+//! Light that is known already, put together as the layers of a plan.
+
+use std::sync::Arc;
+
+use glam::Vec3;
+
+use super::plan::{Header, Piece, Plan, Planned};
+use super::{Layer, variance_of};
+use crate::lightmap::LightMap;
+
+/// What the layers of a plan are put together from.
+#[derive(Clone, Copy)]
+pub(super) struct Pieces<'a> {
+    pub plan: &'a Plan,
+    /// The old map.
+    pub map: &'a LightMap,
+    /// Light of the lights that leave their layers, at reference strength: as `plan.leaving`, or nothing.
+    pub leaving: &'a [Arc<Layer>],
+}
+
+impl Pieces<'_> {
+    /// The old light in its new layers.
+    pub(super) fn regroup(&self) -> Vec<Arc<Layer>> {
+        self.plan.regrouped.iter().map(|planned| self.assemble(planned)).collect()
+    }
+
+    fn assemble(&self, planned: &Planned) -> Arc<Layer> {
+        if let [(Piece::Old(index), Vec3::ONE)] = planned.pieces.as_slice()
+            && let Some(layer) = self.map.layers.get(*index)
+            && layer.name == planned.header.name
+            && layer.lights == planned.header.lights
+        {
+            return layer.clone();
+        }
+        let Header { name, lights } = planned.header.clone();
+        let mut sum = Layer { name, lights, ..Layer::black(self.map.len()) };
+        for &(piece, factor) in &planned.pieces {
+            let layer = match piece {
+                Piece::Old(index) => self.map.layers.get(index),
+                Piece::Leaving(index) => self.leaving.get(index),
+            };
+            match layer {
+                Some(layer) => sum.add(&layer.direct, &layer.indirect, &layer.variance, factor),
+                // A map without layers is one of all lights.
+                None => sum.add(&self.map.direct, &self.map.indirect, &self.map.variance, factor),
+            }
+        }
+        Arc::new(sum)
+    }
+
+    /// Variance of the new map, whose layers have these weights: light that leaves one layer for another is in both, with
+    /// opposite signs, so that only what it weighs in all counts.
+    pub(super) fn variance(&self, weights: &[Vec3], correlation: f64) -> Vec<f32> {
+        let mut old = vec![Vec3::ZERO; self.map.layers.len().max(1)];
+        let mut new = vec![Vec3::ZERO; self.leaving.len()];
+        for ((_, origin), weight) in self.plan.after.iter().zip(weights) {
+            let pieces = origin.map_or(&[][..], |index| &self.plan.regrouped[index].pieces);
+            for (piece, factor) in pieces {
+                match piece {
+                    Piece::Old(k) => old[*k] += *factor * *weight,
+                    Piece::Leaving(k) => new[*k] += *factor * *weight,
+                }
+            }
+        }
+        let square = |v: &Vec3| v.length_squared() / 3.0;
+        let mut variance = match self.map.layers.is_empty() {
+            true => self.map.variance.iter().map(|v| v * square(&old[0])).collect(),
+            false => variance_of(&self.map.layers, &old, correlation),
+        };
+        for (layer, factor) in self.leaving.iter().zip(new.iter().map(square)) {
+            variance.iter_mut().zip(&layer.variance).for_each(|(sum, v)| *sum += v * factor);
+        }
+        variance
+    }
+}
+
+impl Layer {
+    /// No light in `len` slots.
+    pub(super) fn black(len: usize) -> Layer {
+        let (direct, indirect) = (vec![Vec3::ZERO; len], vec![Vec3::ZERO; len]);
+        Layer { direct, indirect, variance: vec![0.0; len], ..Layer::default() }
+    }
+
+    fn add(&mut self, direct: &[Vec3], indirect: &[Vec3], variance: &[f32], factor: Vec3) {
+        let square = factor.length_squared() / 3.0;
+        self.direct.iter_mut().zip(direct).for_each(|(s, v)| *s += *v * factor);
+        self.indirect.iter_mut().zip(indirect).for_each(|(s, v)| *s += *v * factor);
+        self.variance.iter_mut().zip(variance).for_each(|(s, v)| *s += *v * square);
+    }
+}
+
+/// A layer under another header.
+pub(super) fn renamed(layer: &Arc<Layer>, header: &Header) -> Arc<Layer> {
+    if layer.name == header.name && layer.lights == header.lights {
+        return layer.clone();
+    }
+    Arc::new(Layer { name: header.name.clone(), lights: header.lights.clone(), ..Layer::clone(layer) })
+}
