@@ -1,17 +1,18 @@
 //! Light maps from scratch, by the propagator of the updates: the source is the direct light.
 
-use std::cell::OnceCell;
+use std::cell::{OnceCell, RefCell};
 use std::sync::Arc;
 
 use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::accumulate::Accumulator;
+use crate::focus::Focus;
 use crate::job::{Budget, Canceled, Observer, Pass};
 use crate::layers::{Computed, Header, Stack, groups_of, weights_of, weights_within, with_layers};
 use crate::lightmap::LightMap;
 use crate::random::{Pcg32, subseed};
-use crate::rounds::{Phase, Round, Rounds};
+use crate::rounds::{First, Goal, Phase, Round, Rounds};
 use crate::solve::{Exchange, Rows, Source, Subset};
 use crate::transport::direct::direct_of;
 use crate::transport::{Effort, Field, Rough, Surfel, Value, Work, gather};
@@ -28,8 +29,8 @@ const ROUGH_SAMPLES: u32 = 4;
 /// ([`crate::scene::Scene::groups`]) get layers of their own, along the same rays.
 pub fn bake(world: &World, budget: &Budget, seed: u64, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
     let work = Work::new(observer);
-    let seed = subseed(seed, 0xba6e);
-    let map = bake_map(world, &groups_of(&world.scene), &|map| map, budget, seed, &work)?;
+    let goal = Goal { budget, focus: None, seed: subseed(seed, 0xba6e) };
+    let map = bake_map(world, &groups_of(&world.scene), &|map| map, &goal, &work)?;
     Ok(map.unwrap_or_else(|| Arc::new(LightMap::black(world.slots()))))
 }
 
@@ -39,17 +40,16 @@ pub(crate) fn bake_map(
     world: &World,
     headers: &[Header],
     improve: &dyn Fn(LightMap) -> LightMap,
-    budget: &Budget,
-    seed: u64,
+    goal: &Goal,
     work: &Work,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
     if headers.is_empty() {
         let finish = |stack: Stack<Vec3>| improve(stack.into_map());
-        return bake_stack(world, &[Vec3::ONE], &finish, budget, seed, work);
+        return bake_stack(world, &[Vec3::ONE], &finish, goal, work);
     }
     let weights = weights_of(headers, &world.scene);
     let finish = |computed: Computed| improve(computed.into_map(&weights));
-    bake_layers(world, headers, &finish, budget, seed, work)
+    bake_layers(world, headers, &finish, goal, work)
 }
 
 /// Bakes layers along the same rays; none where no round was run. `finish` makes what is published of them.
@@ -57,13 +57,12 @@ pub(crate) fn bake_layers(
     world: &World,
     headers: &[Header],
     finish: &dyn Fn(Computed) -> LightMap,
-    budget: &Budget,
-    seed: u64,
+    goal: &Goal,
     work: &Work,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
     let weights = weights_of(headers, &world.scene);
     let lit = world.only_layers(headers, &weights);
-    with_layers!(headers.len(), bake_headers(&lit, headers, &weights, finish, budget, seed, work))
+    with_layers!(headers.len(), bake_headers(&lit, headers, &weights, finish, goal, work))
 }
 
 fn bake_headers<V: Value>(
@@ -71,12 +70,11 @@ fn bake_headers<V: Value>(
     headers: &[Header],
     weights: &[Vec3],
     finish: &dyn Fn(Computed) -> LightMap,
-    budget: &Budget,
-    seed: u64,
+    goal: &Goal,
     work: &Work,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
     let finish = |stack: Stack<V>| finish(stack.into_computed(headers));
-    bake_stack(world, weights_within(weights), &finish, budget, seed, work)
+    bake_stack(world, weights_within(weights), &finish, goal, work)
 }
 
 /// Bakes some layers together; none where no round was run.
@@ -84,14 +82,24 @@ fn bake_stack<V: Value>(
     world: &World,
     weights: &[Vec3],
     finish: &dyn Fn(Stack<V>) -> LightMap,
-    budget: &Budget,
-    seed: u64,
+    goal: &Goal,
     work: &Work,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
-    let baker = Baker::new(world, weights, seed, work);
+    let baker = Baker::new(world, weights, goal.seed, work);
+    let first = goal.focus.map(|focus| baker.look_first(focus, finish, goal)).transpose()?.flatten();
+    let compose = |sum: &Accumulator<V>| {
+        let mut stack = baker.compose(sum);
+        if let Some(first) = &first {
+            first.merge(&mut stack, sum.samples(), baker.slots.iter().copied(), None);
+            stack.fill_invalid(&world.validity);
+        }
+        finish(stack)
+    };
     let stated = |map: &LightMap| Some(map.estimated_rmse(world.areas()));
-    let rounds = Rounds { len: world.slots(), weights, budget, seed, work, phase: Phase::Whole };
-    rounds.run(stated, |_| false, |r| baker.round(r), |s| finish(baker.compose(s)))
+    let phase = if first.is_some() { Phase::Rest } else { Phase::Whole };
+    let Goal { budget, seed, .. } = *goal;
+    let rounds = Rounds { len: world.slots(), weights, budget, seed, work, phase };
+    rounds.run(stated, |_| false, |r| baker.round(r), compose)
 }
 
 /// What all rounds of a bake share.
@@ -121,8 +129,38 @@ impl<'a> Baker<'a> {
         stack
     }
 
+    /// Bakes what is looked at before the rest, which is shown as the solution on the subset has it.
+    fn look_first<V: Value>(
+        &self,
+        focus: &Focus,
+        finish: &dyn Fn(Stack<V>) -> LightMap,
+        goal: &Goal,
+    ) -> Result<Option<First<V>>, Canceled> {
+        let is_seen = focus.covers(self.world);
+        let seen: Vec<u32> = self.slots.iter().copied().filter(|&slot| is_seen[slot as usize]).collect();
+        if seen.is_empty() {
+            return Ok(None);
+        }
+        let last = RefCell::new(None);
+        let compose = |sum: &Accumulator<V>| {
+            let stack = self.compose(sum);
+            last.replace(Some((stack.clone(), sum.samples())));
+            finish(stack)
+        };
+        let (budget, seed) = (&goal.first_budget(), goal.first_seed());
+        let (len, weights) = (self.world.slots(), self.weights);
+        let rounds = Rounds { len, weights, budget, seed, work: self.work, phase: Phase::Part };
+        rounds.run(|_| None, |_| false, |r| self.round_at(r, &seen), compose)?;
+        Ok(last.take().map(|(stack, samples)| First { stack, is_seen, samples }))
+    }
+
     /// One independent estimate of direct and indirect light.
     pub(crate) fn round<V: Value>(&self, round: &Round<V>) -> Result<(Vec<V>, Vec<V>), Canceled> {
+        self.round_at(round, &self.slots)
+    }
+
+    /// The same, with indirect light gathered in some slots only; elsewhere it is that of the solution on the subset.
+    fn round_at<V: Value>(&self, round: &Round<V>, gathered: &[u32]) -> Result<(Vec<V>, Vec<V>), Canceled> {
         let (world, work) = (self.world, self.work);
         (round.begin)(Pass::Direct, 0.0);
         // Earlier rounds choose the number of samples, never what they find: the mean stays free of bias.
@@ -140,8 +178,10 @@ impl<'a> Baker<'a> {
         let total: Vec<V> = filled_direct.par_iter().zip(&bounces).map(|(d, b)| *d + *b).collect();
         let field = Field { total: &total, direct: &filled_direct, rough: self.rough::<V>()? };
         (round.begin)(Pass::FinalGather, 0.4);
-        let indirect = gather(world, &field, &self.slots, round.samples, &effort, round.seed, work)?;
-        let mut indirect = self.scatter(&indirect);
+        let found = gather(world, &field, gathered, round.samples, &effort, round.seed, work)?;
+        let mut indirect = vec![V::default(); world.slots()];
+        self.slots.iter().for_each(|&slot| indirect[slot as usize] = bounces[slot as usize]);
+        gathered.iter().zip(&found).for_each(|(&slot, light)| indirect[slot as usize] = *light);
         // The gather is better than the solution that it looked up: at all elements, not on a subset. What it found anew
         // has bounces of its own.
         let mut residual: Vec<V> = indirect.iter().zip(&bounces).map(|(i, b)| *i - *b).collect();

@@ -11,6 +11,7 @@ use crate::job::{Budget, Canceled, Observer};
 use crate::layers::headers_of_layers;
 use crate::lightmap::LightMap;
 use crate::random::subseed;
+use crate::rounds::Goal;
 use crate::transport::Work;
 use crate::world::World;
 
@@ -42,7 +43,8 @@ pub(crate) fn refine_with(
         // A first round alone cannot tell its variance.
         if new.variance.iter().any(|v| *v > 0.0) { blend(world, map, new) } else { map.clone() }
     };
-    bake_map(world, &headers_of_layers(map), &improve, budget, seed, work)
+    let goal = Goal { budget, focus: None, seed };
+    bake_map(world, &headers_of_layers(map), &improve, &goal, work)
 }
 
 /// The average of two independent estimates, object by object.

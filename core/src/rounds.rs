@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use crate::accumulate::Accumulator;
+use crate::focus::Focus;
 use crate::job::{Budget, Canceled, Pass, Progress};
+use crate::layers::Stack;
 use crate::lightmap::LightMap;
 use crate::random::subseed;
 use crate::transport::{Value, Work};
@@ -33,6 +35,50 @@ pub(crate) enum Phase {
     /// The whole map behind such a part: at least one sample is taken, whatever the observer plans, because a map of
     /// old and new values must not stay.
     Rest,
+}
+
+/// How far a computation goes, and where first.
+#[derive(Clone, Copy)]
+pub(crate) struct Goal<'a> {
+    pub budget: &'a Budget,
+    pub focus: Option<&'a Focus>,
+    pub seed: u64,
+}
+
+/// Samples per element of what somebody looks at, before the rest of the scene gets any.
+const FOCUS_SAMPLES: u32 = 32;
+
+impl Goal<'_> {
+    /// How far what is looked at is computed before the rest.
+    pub(crate) fn first_budget(&self) -> Budget {
+        Budget { samples_per_element: self.budget.samples_per_element.min(FOCUS_SAMPLES), target_rmse: None }
+    }
+
+    /// Its seed.
+    pub(crate) fn first_seed(&self) -> u64 {
+        subseed(self.seed, 0xf0c)
+    }
+}
+
+/// What was computed first, because somebody looks at it.
+pub(crate) struct First<V> {
+    pub stack: Stack<V>,
+    pub is_seen: Vec<bool>,
+    pub samples: u32,
+}
+
+impl<V: Value> First<V> {
+    /// The mean, by samples, of what was done first and what followed, in some slots. Both hold the noise of `shared`.
+    pub(crate) fn merge(
+        &self,
+        stack: &mut Stack<V>,
+        samples: u32,
+        slots: impl Iterator<Item = u32>,
+        shared: Option<&Stack<V>>,
+    ) {
+        let weight = self.samples as f32 / (self.samples + samples) as f32;
+        stack.blend(&self.stack, slots.filter(|&slot| self.is_seen[slot as usize]), weight, shared);
+    }
 }
 
 /// Rounds to be run.

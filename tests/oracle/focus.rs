@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex};
 
 use glam::{DMat4, DVec3, Vec3};
-use rebake_core::scene::Scene;
+use rebake_core::scene::{LightKind, Scene};
 use rebake_core::{Budget, Edit, Focus, LightMap, Observer, Progress, Transition, Unobserved, World, bake, update};
 
 use super::scenes::{crate_at, room_objects, world};
@@ -11,10 +11,11 @@ use super::statistics::{area_mean, mean_total};
 
 /// Keeps all snapshots.
 #[derive(Default)]
-struct Snapshots(Mutex<Vec<Arc<LightMap>>>);
+struct Snapshots(Mutex<Vec<Arc<LightMap>>>, Mutex<Vec<Progress>>);
 
 impl Observer for Snapshots {
-    fn snapshot(&self, map: &Arc<LightMap>, _: &Progress) {
+    fn snapshot(&self, map: &Arc<LightMap>, progress: &Progress) {
+        self.1.lock().expect("nobody panics").push(*progress);
         self.0.lock().expect("nobody panics").push(Arc::clone(map));
     }
 }
@@ -85,4 +86,37 @@ fn what_a_camera_sees_comes_first() {
     let offset = |p: Vec3| (p.x - 2.2).abs().max((p.z - 1.9).abs());
     // Half the frame is 2 m · tan 0.4 = 0.85 m; the crate hides 0.43 m around its middle; the ceiling is behind the eye.
     check(&focus, |p| floor(p) && (0.45..0.8).contains(&offset(p)), |p| p.y > 2.1 || floor(p) && offset(p) > 1.0);
+}
+
+/// A lamp that moves is baked anew, and there, too, what is looked at comes first.
+#[test]
+fn a_moved_lamp_comes_first_where_somebody_looks() {
+    let kind = LightKind::Point { position: DVec3::new(1.0, 1.8, 1.0), range: None };
+    let bulb = Edit::InsertLight { name: "bulb".into(), kind, color: Vec3::ONE, intensity: 3.0 };
+    let group = Edit::GroupLights { group: Some("bulb".into()), lights: vec!["bulb".into()] };
+    let world = world(room_objects(0.7), 0.1).apply(&[bulb, group]).expect("a bulb").after;
+    let old = bake(&world, &budget(64), 1, &Unobserved).expect("nobody cancels");
+    let position = Some(DVec3::new(2.0, 1.5, 2.2));
+    let edit = Edit::MoveLight { light: "bulb".into(), position, direction: None, drag: false };
+    let transition = world.apply(&[edit]).expect("a move");
+    let middle = Vec3::new(2.2, 0.0, 1.9);
+    let focus = Focus::Sphere { point: middle.as_dvec3(), radius: 0.8 };
+    let (with, without) = (Snapshots::default(), Snapshots::default());
+    let done = update(&transition, &old, &budget(32), Some(&focus), 2, &with).expect("nobody cancels");
+    let plain = update(&transition, &old, &budget(64), None, 3, &without).expect("nobody cancels");
+
+    let (first, progress) = (with.0.lock().expect("no panic")[0].clone(), with.1.lock().expect("no panic").clone());
+    let rays = without.1.lock().expect("no panic")[0].rays;
+    assert_eq!((progress[0].samples_per_element, progress[0].estimated_rmse), (0, None));
+    assert!(
+        progress[0].rays < rays * 7 / 10,
+        "{} rays to the first sight of it, {rays} without focus",
+        progress[0].rays
+    );
+    let region = |i: usize| world.areas()[i] > 0.0 && world.positions()[i].distance(middle) < 0.75;
+    let mean = |m: &LightMap| area_mean(&world, region, |i| m.total(i).as_dvec3());
+    let (early, late, stale) = (mean(&first), mean(&plain), mean(&old));
+    assert!((early - late).abs() < 0.1 * (stale - late).abs(), "{early} at first, {late} at last, {stale} before");
+    let ratio = mean_total(&world, &done) / mean_total(&world, &plain);
+    assert!((ratio - 1.0).abs() < 5e-3, "the whole map is {ratio} of that without focus");
 }

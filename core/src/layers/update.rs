@@ -13,8 +13,9 @@ use crate::bake::bake_layers;
 use crate::job::{Budget, Canceled, Observer, Pass, Progress};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
+use crate::rounds::Goal;
 use crate::transport::{Value, Work};
-use crate::update::{Goal, Stage, Updated, run_stage};
+use crate::update::{Stage, Updated, run_stage};
 use crate::world::{Transition, World};
 
 /// Calls a function generic over the number of layers for the least number that holds `$layers`.
@@ -135,8 +136,9 @@ impl Update<'_> {
         let most = if publishes { u32::MAX } else { QUIET_SAMPLES };
         let budget = self.goal.budget;
         let budget = Budget { samples_per_element: budget.samples_per_element.min(most), ..*budget };
-        let seed = subseed(self.goal.seed, 0x1ea);
-        let map = bake_layers(&self.transition.before, &self.plan.leaving, &finish, &budget, seed, work)?;
+        let focus = self.goal.focus.filter(|_| publishes);
+        let goal = Goal { budget: &budget, focus, seed: subseed(self.goal.seed, 0x1ea) };
+        let map = bake_layers(&self.transition.before, &self.plan.leaving, &finish, &goal, work)?;
         Ok(map.map(|map| (map, last.take())))
     }
 
@@ -166,8 +168,7 @@ impl Update<'_> {
         let Transition { before, after, .. } = self.transition;
         let is_new = |header: &Header| header.is_new(&before.scene, &after.scene);
         if !self.transition.changes_surfaces() && headers.iter().all(is_new) {
-            let Goal { budget, seed, .. } = *self.goal;
-            let map = bake_layers(after, &headers, &finish, budget, seed, self.work)?;
+            let map = bake_layers(after, &headers, &finish, self.goal, self.work)?;
             return Ok(map.map(|map| Updated { map, baked: false }));
         }
         let origins: Vec<Option<usize>> = changed.iter().map(|&k| self.plan.after[k].1).collect();

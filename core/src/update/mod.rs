@@ -28,15 +28,12 @@ use crate::layers::{Stack, update_layers};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
 use crate::refine::refine_with;
-use crate::rounds::{Phase, Round, Rounds};
+use crate::rounds::{Goal, Phase, Round, Rounds};
 use crate::transport::{Value, Work};
 use crate::world::Transition;
 
 /// Part of the old map's variance below which that of the change is settled: more samples of it would not show.
 const SETTLED: f64 = 0.25;
-
-/// Samples per element of what somebody looks at, before the rest of the scene gets any.
-const FOCUS_SAMPLES: u32 = 32;
 
 /// Brings `map`, which is right for `transition.before`, up to date with `transition.after`. Progressive as
 /// [`crate::bake`] is; answering 0 to the first [`Observer::plan_round`] gives the old map in its new slots.
@@ -91,14 +88,6 @@ fn update_whole(
     run_stage(stage, goal, work)
 }
 
-/// How far an update goes, and where first.
-#[derive(Clone, Copy)]
-pub(crate) struct Goal<'a> {
-    pub budget: &'a Budget,
-    pub focus: Option<&'a Focus>,
-    pub seed: u64,
-}
-
 /// An update of some layers together.
 pub(crate) struct Stage<'a, V> {
     /// Lights are those of the layers only, at reference strength.
@@ -119,7 +108,7 @@ pub(crate) fn run_stage<V: Value>(stage: Stage<V>, goal: &Goal, work: &Work) -> 
     let (world, budget, seed) = (&stage.transition.after, goal.budget, goal.seed);
     let (weights, finish) = (stage.weights, stage.finish);
     let updater = Updater::new(stage, work);
-    let first = goal.focus.map(|f| updater.look_first(f, budget, subseed(seed, 0xf0c), work)).transpose()?.flatten();
+    let first = goal.focus.map(|f| updater.look_first(f, goal, work)).transpose()?.flatten();
     let extents = updater.extents(|_| true);
     let baker = OnceCell::new();
     let round = |r: &Round<V>| {

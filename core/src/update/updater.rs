@@ -6,13 +6,13 @@ use std::sync::Arc;
 use glam::Vec3;
 
 use super::extent::Extent;
-use super::{FOCUS_SAMPLES, Stage, direct, source};
+use super::{Stage, direct, source};
 use crate::accumulate::Accumulator;
 use crate::focus::Focus;
-use crate::job::{Budget, Canceled, Pass};
+use crate::job::{Canceled, Pass};
 use crate::layers::Stack;
 use crate::random::{Pcg32, subseed};
-use crate::rounds::{Phase, Round, Rounds};
+use crate::rounds::{First, Goal, Phase, Round, Rounds};
 use crate::solve::{Exchange, Rows, Source, Subset};
 use crate::transport::{Surfel, Value, Work};
 use crate::world::{Transition, World};
@@ -27,13 +27,6 @@ const LEAST_WEIGHT: f64 = 0.25;
 pub(super) struct Extents {
     direct: Extent,
     source: Extent,
-}
-
-/// What was brought up to date first.
-pub(super) struct First<V> {
-    stack: Stack<V>,
-    is_seen: Vec<bool>,
-    samples: u32,
 }
 
 /// What all rounds of a stage share.
@@ -107,13 +100,7 @@ impl<'a, V: Value> Updater<'a, V> {
     }
 
     /// Brings what is looked at up to date.
-    pub(super) fn look_first(
-        &self,
-        focus: &Focus,
-        budget: &Budget,
-        seed: u64,
-        work: &Work,
-    ) -> Result<Option<First<V>>, Canceled> {
+    pub(super) fn look_first(&self, focus: &Focus, goal: &Goal, work: &Work) -> Result<Option<First<V>>, Canceled> {
         let is_seen = focus.covers(self.world);
         if !is_seen.iter().any(|seen| *seen) {
             return Ok(None);
@@ -128,19 +115,17 @@ impl<'a, V: Value> Updater<'a, V> {
             last.replace(Some((stack.clone(), s.samples())));
             (self.stage.finish)(stack)
         };
-        let budget = Budget { samples_per_element: budget.samples_per_element.min(FOCUS_SAMPLES), target_rmse: None };
         // The rest of the map is out of date: nothing can be stated about the whole.
         let (len, weights) = (self.world.slots(), self.stage.weights);
-        let rounds = Rounds { len, weights, budget: &budget, seed, work, phase: Phase::Part };
+        let (budget, seed) = (&goal.first_budget(), goal.first_seed());
+        let rounds = Rounds { len, weights, budget, seed, work, phase: Phase::Part };
         rounds.run(|_| None, |_| false, |r| self.round(r, &extents), compose)?;
         Ok(last.take().map(|(stack, samples)| First { stack, is_seen, samples }))
     }
 
     /// The mean of what was done first and what followed, by samples.
     pub(super) fn merge(&self, first: &First<V>, mut stack: Stack<V>, samples: u32) -> Stack<V> {
-        let weight = first.samples as f32 / (first.samples + samples) as f32;
-        let seen = self.static_rows.iter().copied().filter(|&slot| first.is_seen[slot as usize]);
-        stack.blend(&first.stack, seen, weight, Some(&self.old));
+        first.merge(&mut stack, samples, self.static_rows.iter().copied(), Some(&self.old));
         stack.fill_invalid(&self.world.validity);
         stack
     }
