@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use glam::Vec3;
 use rebake_core::delta::Frame;
 use serde_json::{Value, json};
 
@@ -148,6 +149,45 @@ async fn jobs_that_wait_or_run_go_on_after_a_restart() {
     let now = server.get(&path_of(&scene)).await.json(200);
     assert_eq!(names(&now), ["room"]);
     server.stop().await;
+}
+
+#[tokio::test]
+async fn a_job_keeps_its_seed_across_a_restart() {
+    let directory = tempfile::tempdir().unwrap();
+    let with = |seed: u64| {
+        let directory = directory.path().to_owned();
+        Server::scripted_with(move |config| (config.seed, config.data_dir) = (seed, Some(directory)))
+    };
+    let (server, script) = with(7).await;
+    let scene = server.room("?samples_per_element=4000").await;
+    let bake = scene["current_job"].as_str().unwrap().to_owned();
+    script.run(&[Step::Round]);
+    server.until(&bake, |job| job["progress"]["version"] == 1).await;
+    server.stop().await;
+    let (server, script) = with(8).await;
+    script.run(&[Step::Round, Step::Round, Step::Finish]);
+    server.end_of(&bake).await;
+    let restarted = light(&server, &scene).await;
+    server.stop().await;
+
+    assert!(restarted == light_of_seed(7).await, "the job has the seed that it was accepted with");
+    assert!(restarted != light_of_seed(8).await);
+}
+
+/// A bake of two rounds by a service of this seed.
+async fn light_of_seed(seed: u64) -> Vec<Vec3> {
+    let (server, script) = Server::scripted_with(|config| config.seed = seed).await;
+    script.run(&[Step::Round, Step::Round, Step::Finish]);
+    let scene = server.baked_room("?samples_per_element=4000").await;
+    let light = light(&server, &scene).await;
+    server.stop().await;
+    light
+}
+
+async fn light(server: &Server, scene: &Value) -> Vec<Vec3> {
+    let mut follower = server.client.follow(scene["id"].as_str().unwrap());
+    follower.catch_up().await.unwrap();
+    follower.into_map().0
 }
 
 #[tokio::test]

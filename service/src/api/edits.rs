@@ -145,7 +145,7 @@ fn accept(
         app.pictures.remember(scene.number, scene.published());
     }
     let mut jobs = head.jobs;
-    spec.seed = next_seed(&mut jobs);
+    spec.seed = next_seed(app.config.seed, &mut jobs);
     spec.sequence = head.sequence + u64::from(transition.is_some());
     let record = new_record(ticket.number, scene, &spec);
     let job = Job::new(&app.ids, &record.job, &scene.id);

@@ -6,34 +6,27 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
 use glam::Vec3;
-use rebake_core::delta::Decoder;
 use rebake_core::export::write_scene_glb;
-use rebake_core::random::subseed;
 use rebake_core::scene::Scene;
-use rebake_core::{Budget, Canceled, Edit, LightMap, Observer, World};
+use rebake_core::{Edit, LightMap, World};
 use serde_json::{Value, json};
 use tokio::net::TcpListener;
 
 use super::{Goal, Mode, PreparedCase, Timed};
 use crate::Config;
 use crate::client::types::{Job, JobState, NewScene};
-use crate::client::{Client, EditOptions, read_body};
-use crate::engine::{CoreEngine, Engine, Update};
-
-/// Largest download that is taken.
-const MAX_MAP_BYTES: usize = 2 << 30;
+use crate::client::{Client, EditOptions};
 
 /// Runs a case's edit through a service of its own whose bake takes `base_samples` samples per element. Seconds are from
-/// the POST of the edit to the end of its job; the light map is what `lightmap?format=raw` answers then, all of it in
-/// the part that `mode` measures.
+/// the POST of the edit to the end of its job; the light map is what a client that starts to follow the scene then
+/// gets, all of it in the part that `mode` measures.
 pub fn run_service(case: &PreparedCase, base_samples: u32, goal: Goal, mode: Mode, seed: u64) -> Result<Timed> {
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
     runtime.block_on(async {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await?;
         let client = Client::new(&format!("http://{}", listener.local_addr()?))?;
-        let mut config = Config { threads: rayon::current_num_threads(), ..Config::default() };
+        let mut config = Config { threads: rayon::current_num_threads(), seed, ..Config::default() };
         config.defaults.bake_samples = base_samples;
-        config.engine = Arc::new(Seeded(subseed(seed, 0x5e4)));
         let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
         let service = tokio::spawn(crate::run(listener, config, async {
             // A dropped sender means the same.
@@ -44,37 +37,6 @@ pub fn run_service(case: &PreparedCase, base_samples: u32, goal: Goal, mode: Mod
         service.await??;
         timed
     })
-}
-
-/// The engine with seeds of its own: the service's depend on nothing but the order of jobs.
-#[derive(Debug)]
-struct Seeded(u64);
-
-impl Engine for Seeded {
-    fn bake(
-        &self,
-        world: &World,
-        budget: &Budget,
-        seed: u64,
-        observer: &dyn Observer,
-    ) -> Result<Arc<LightMap>, Canceled> {
-        CoreEngine.bake(world, budget, seed ^ self.0, observer)
-    }
-
-    fn update(&self, work: &Update<'_>, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
-        CoreEngine.update(&Update { seed: work.seed ^ self.0, ..*work }, observer)
-    }
-
-    fn refine(
-        &self,
-        world: &World,
-        map: &LightMap,
-        budget: &Budget,
-        seed: u64,
-        observer: &dyn Observer,
-    ) -> Result<Arc<LightMap>, Canceled> {
-        CoreEngine.refine(world, map, budget, seed ^ self.0, observer)
-    }
 }
 
 async fn through(client: &Client, case: &PreparedCase, goal: Goal, mode: Mode) -> Result<Timed> {
@@ -98,13 +60,9 @@ async fn through(client: &Client, case: &PreparedCase, goal: Goal, mode: Mode) -
     let job = finish(client, &job.id).await?;
     let seconds = start.elapsed().as_secs_f64();
     check_layout(&case.after, &client.elements(&scene.id).await?)?;
-    let raw = read_body(client.lightmap(&scene.id, "raw", None).await?, MAX_MAP_BYTES).await?;
-    let mut values = Vec::new();
-    let mut decoder = Decoder::new();
-    decoder.push(&raw);
-    while let Some((frame, _)) = decoder.next_frame()? {
-        frame.apply(&mut values)?;
-    }
+    let mut follower = client.follow(&scene.id);
+    follower.catch_up().await?;
+    let (values, _) = follower.into_map();
     client.delete_scene(&scene.id).await?;
     Ok(Timed {
         map: Arc::new(as_map(values, mode)),
