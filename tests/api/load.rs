@@ -14,22 +14,8 @@ use tokio::sync::watch;
 use tokio::time::MissedTickBehavior;
 
 use super::glb::{crate_asset, room, translation};
-use super::process::{Service, serve_until_killed};
+use super::process::Service;
 use super::server::{PATIENCE, Server, path_of};
-
-const CHILD: &str = "REBAKE_LOAD_CHILD";
-
-/// The service under load: this test binary, run by the test below.
-#[test]
-#[ignore = "run as a child process by the load test"]
-fn the_service_under_load() {
-    if std::env::var_os(CHILD).is_some() {
-        let mut config = rebake::Config { threads: 1, ..Default::default() };
-        // Both are full within seconds: from then on memory has to be flat.
-        (config.limits.finished_jobs, config.limits.events) = (200, 64);
-        serve_until_killed(config);
-    }
-}
 
 struct Load {
     seconds: u64,
@@ -196,7 +182,8 @@ fn bits(map: &[Vec3]) -> Vec<[u32; 3]> {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn under_load_nothing_is_lost() {
     let load = Load::chosen();
-    let service = Service::start("api::load::the_service_under_load", (CHILD, "1".as_ref()));
+    // Both logs are full within seconds: from then on memory has to be flat.
+    let service = Service::start(&["finished-jobs=200", "events=64"]);
     let server = &service.server;
     let asset = server.client.create_asset(crate_asset()).await.unwrap();
     let query = format!("/v1/scenes?samples_per_element=4&spacing={}", load.spacing);
