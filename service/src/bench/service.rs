@@ -27,15 +27,7 @@ pub fn run_service(case: &PreparedCase, base_samples: u32, goal: Goal, mode: Mod
         let client = Client::new(&format!("http://{}", listener.local_addr()?))?;
         let mut config = Config { threads: rayon::current_num_threads(), seed, ..Config::default() };
         config.defaults.bake_samples = base_samples;
-        let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
-        let service = tokio::spawn(crate::run(listener, config, async {
-            // A dropped sender means the same.
-            let _ = stopped.await;
-        }));
-        let timed = through(&client, case, goal, mode).await;
-        drop(stop);
-        service.await??;
-        timed
+        crate::run_while(listener, config, through(&client, case, goal, mode)).await?
     })
 }
 
