@@ -19,6 +19,8 @@ use super::{Mode, Options, PreparedCase, Reference, Watcher};
 const STEP: Duration = Duration::from_millis(100);
 /// Places that the objects pass, there and back.
 const PLACES: usize = 6;
+/// Measured after the drag, seconds.
+const REST: f64 = 2.0;
 /// Between two points of a curve, seconds.
 const GRID: f64 = 0.05;
 
@@ -103,9 +105,9 @@ impl Track {
         STEP.as_secs_f64() * f64::from(self.moves)
     }
 
-    /// Seconds that are measured: half as long at rest again.
+    /// Seconds that are measured.
     fn end(&self) -> f64 {
-        1.5 * self.at_rest()
+        self.at_rest() + REST
     }
 
     /// The move that is the last one at this time.
@@ -243,7 +245,7 @@ mod tests {
         assert_eq!(places, [1, 2, 3, 4, 5, 4, 3, 2, 1, 0, 1, 2]);
         let steps: Vec<u32> = [0.0, 0.05, 0.1, 0.199, 0.3, 1.1, 9.0].into_iter().map(|t| track.step_at(t)).collect();
         assert_eq!(steps, [0, 0, 1, 1, 3, 11, 11]);
-        assert_eq!(track.grid().count(), 37);
+        assert_eq!(track.grid().count(), 65);
     }
 
     #[test]

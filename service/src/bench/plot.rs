@@ -168,7 +168,7 @@ impl Axis {
     }
 
     /// From 0, with values in even steps.
-    fn from_zero(self) -> Axis {
+    fn begun_at_zero(self) -> Axis {
         Axis { low: 0.0, high: self.high / 1.3, is_log: false, ..self }
     }
 
@@ -199,7 +199,7 @@ impl Axis {
 fn diagram(out: &mut String, panel: &Panel, sheet: &Sheet) {
     let points = || panel.curves.iter().flatten();
     let xs = Axis::over(points().map(|p| p.0), WIDTH);
-    let xs = if sheet.log_time { xs } else { xs.from_zero() };
+    let xs = if sheet.log_time { xs } else { xs.begun_at_zero() };
     let errors = points().map(|p| p.1).chain(panel.lines.iter().map(|line| line.0));
     let ys = Axis::over(errors, HEIGHT);
     let y_of = |v: f64| HEIGHT - ys.at(v);
@@ -307,7 +307,7 @@ mod tests {
             ["0.01", "0.02", "0.05", "0.1", "0.2", "0.5", "1"]
         );
         assert!(!Axis::over(std::iter::empty(), 100.0).ticks().is_empty());
-        let even = Axis::over([4.5].into_iter(), 90.0).from_zero();
+        let even = Axis::over([4.5].into_iter(), 90.0).begun_at_zero();
         assert_eq!(even.ticks(), [0.0, 1.0, 2.0, 3.0, 4.0]);
         assert!((even.at(1.0) - 20.0).abs() < 1e-9);
     }
