@@ -29,6 +29,10 @@ pub struct Config {
     pub cors_origins: Vec<String>,
     /// Refine light maps while no job waits; none: their jobs' budgets are all that is spent on them.
     pub idle_refine: Option<IdleRefine>,
+    /// Seeds of all jobs derive from it and from how many jobs their scene had: services with the same one give the
+    /// same light, bit for bit, for the same scene and edits. A job keeps the seed it was accepted with, so another one
+    /// after a restart is for new jobs.
+    pub seed: u64,
     /// Faults of the data directory, for tests.
     pub faults: Faults,
     /// What computes light: the engine, or a stand-in for tests.
@@ -148,6 +152,7 @@ impl Default for Config {
             tokens: None,
             cors_origins: Vec::new(),
             idle_refine: None,
+            seed: 0,
             faults: Faults::default(),
             engine: Arc::new(CoreEngine),
         }

@@ -22,6 +22,9 @@ use crate::config::Limits;
 /// Name of the light that the upload's `environment` makes.
 pub const ENVIRONMENT: &str = "environment";
 
+/// Bytes of one slot of a light map, or of one of its layers: direct and indirect light, and their variance.
+pub(crate) const VALUE_BYTES: usize = 2 * size_of::<Vec3>() + size_of::<f32>();
+
 /// What computes light for a job. Called on the threads of a job slot.
 pub trait Engine: Send + Sync + Debug {
     /// From scratch.

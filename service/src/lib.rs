@@ -25,5 +25,5 @@ mod store;
 pub mod viewer;
 
 pub use config::Config;
-pub use server::run;
+pub use server::{run, run_while};
 pub use store::faults;

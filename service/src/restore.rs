@@ -258,7 +258,7 @@ fn bake_again(app: &Arc<App>, scene: &Arc<SceneEntry>) {
     let budget =
         JobBudget { samples_per_element: app.config.defaults.bake_samples, max_seconds: None, target_rmse: None };
     let mut jobs = head.jobs;
-    let seed = crate::api::next_seed(&mut jobs);
+    let seed = crate::api::next_seed(app.config.seed, &mut jobs);
     let sequence = head.sequence;
     let spec = JobSpec {
         kind: JobKind::Bake,

@@ -43,6 +43,22 @@ pub async fn run(listener: TcpListener, config: Config, shutdown: impl Future<Ou
     Ok(())
 }
 
+/// Serves on `listener` while `work` goes on, then ends as [`run`] does: what `work` came to.
+///
+/// # Errors
+/// Those of [`run`].
+pub async fn run_while<T>(listener: TcpListener, config: Config, work: impl Future<Output = T>) -> io::Result<T> {
+    let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
+    let service = tokio::spawn(run(listener, config, async {
+        // A dropped sender means the same.
+        let _ = stopped.await;
+    }));
+    let done = work.await;
+    drop(stop);
+    service.await.map_err(io::Error::other)??;
+    Ok(done)
+}
+
 /// The next connection, when there is room for it.
 async fn accept(listener: &TcpListener, room: &Arc<Semaphore>) -> Option<(TcpStream, OwnedSemaphorePermit)> {
     // Acquiring before accepting leaves what is too much in the kernel's backlog.

@@ -114,6 +114,60 @@ fn a_bench_measures_every_method_on_every_case() {
     assert_eq!(plot.matches("no update").count(), 5, "a line per case");
 }
 
+/// `rebake bench --measure WHAT` on a move of a crate, with so many options as make it quick; the report and its table.
+fn study(folder: &Folder, what: &str, more: &[&str]) -> (Value, String) {
+    let scene = folder.write("room.glb", write_scene_glb(&room()).expect("a scene"));
+    let place = DMat4::from_translation(DVec3::new(-0.6, 0.0, -0.9)).to_cols_array();
+    let case = json!({"name": "crate", "edit": "move", "objects": ["crate_2"], "transform": place});
+    let edits = folder.write("edits.json", json!({"scene": "room.glb", "cases": [case]}).to_string());
+    let output = folder.0.join("report.json");
+    let quick = ["--seeds=1", "--reference-samples=128", "--reference-elements=400", "--base-samples=128"];
+    let path = output.to_str().expect("a path");
+    let options: Vec<&str> = ["--measure", what, "-o", path].iter().chain(&quick).chain(more).copied().collect();
+    let done = bench(&scene, &edits, &options);
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let plot = std::fs::read_to_string(folder.0.join("report.svg")).expect("a plot");
+    assert!(plot.starts_with("<svg") && plot.matches("<polyline").count() == 2, "{plot}");
+    let report = std::fs::read(&output).expect("a report");
+    (serde_json::from_slice(&report).expect("JSON"), String::from_utf8(done.stdout).expect("text"))
+}
+
+fn errors(curve: &Value) -> Vec<f64> {
+    curve["points"].as_array().expect("points").iter().map(|point| number(point, "rmse")).collect()
+}
+
+#[test]
+fn a_focus_is_measured_as_a_client_sees_it() {
+    let folder = Folder::new("focus");
+    let focus = json!({"point": [2.2, 0.0, 2.0], "radius": 0.8}).to_string();
+    let (report, table) = study(&folder, "focus", &["--samples=16", "--focus", &focus]);
+    let case = &report["cases"][0];
+    for curve in case["curves"].as_array().expect("curves") {
+        let errors = errors(curve);
+        assert!(errors.last() < errors.first(), "no better than the old light: {curve}");
+    }
+    let times = case["times"].as_array().expect("times");
+    assert!(times.iter().any(|time| time["ratio"].is_number()), "{case}");
+    assert!(table.contains("with focus") && table.contains("crate"), "{table}");
+}
+
+#[test]
+fn a_drag_is_measured_beside_baking_again_and_again() {
+    let folder = Folder::new("drag");
+    let (report, table) = study(&folder, "drag", &["--moves=6"]);
+    let curves = report["cases"][0]["curves"].as_array().expect("curves");
+    let labels: Vec<_> = curves.iter().map(|curve| curve["label"].as_str().expect("a label")).collect();
+    assert_eq!(labels, ["update", "re-baking"]);
+    for curve in curves {
+        let errors = errors(curve);
+        // 0.6 s of moves and two at rest, twenty points a second.
+        assert!(errors.len() == 53 && errors.iter().all(|rmse| rmse.is_finite()), "{curve}");
+        assert!(errors[52] < errors[0], "at rest it is worse than right after the first move: {curve}");
+        assert!(number(curve, "mean_rmse") > 0.0);
+    }
+    assert!(table.contains("while dragged"), "{table}");
+}
+
 fn check_case(case: &Value) {
     let name = case["name"].as_str().expect("a name");
     let reference = &case["reference"];

@@ -3,7 +3,7 @@
 //! `REBAKE_KILLS=200 cargo test -p rebake-tests crash` kills 200 times; `REBAKE_SEED` chooses the workload.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use glam::Vec3;
@@ -12,25 +12,13 @@ use serde_json::{Value, json};
 
 use super::durable::fast_directory;
 use super::glb::{crate_asset, room, translation};
-use super::process::{Service, serve_until_killed};
+use super::process::Service;
 use super::server::{Server, patiently};
 
-const DIRECTORY: &str = "REBAKE_CRASH_DIRECTORY";
-
-/// The service that is killed: this test binary, run by the test below.
-#[test]
-#[ignore = "run as a child process by the crash test"]
-fn the_service_that_is_killed() {
-    let Some(directory) = std::env::var_os(DIRECTORY) else { return };
-    let mut config = rebake::Config { threads: 1, data_dir: Some(PathBuf::from(directory)), ..Default::default() };
-    config.timeouts.save = Duration::from_millis(5);
-    // None is forgotten while this test still asks for it.
-    config.limits.finished_jobs = 1_000_000;
-    serve_until_killed(config);
-}
-
 fn start(directory: &Path) -> Service {
-    Service::start("api::crash::the_service_that_is_killed", (DIRECTORY, directory.as_os_str()))
+    let directory = format!("data-dir={}", directory.display());
+    // No job is forgotten while this test still asks for it.
+    Service::start(&[&directory, "save-ms=5", "finished-jobs=1000000"])
 }
 
 /// What a client knows of a scene.

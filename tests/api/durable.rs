@@ -1,17 +1,13 @@
 //! A data directory: what was acknowledged is there after a restart, and damage is told.
 
-use std::collections::HashSet;
-use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
 
-use rebake::faults::Faults;
+use glam::Vec3;
 use rebake_core::delta::Frame;
 use serde_json::{Value, json};
 
 use super::engine::{Script, Step};
-use super::glb::{crate_asset, room, translation};
+use super::glb::{room, translation};
 use super::server::{Answer, Server, next_event, path_of};
 
 /// A directory in memory where the system has such a place: processes that are killed lose nothing there either, and
@@ -21,7 +17,7 @@ pub(crate) fn fast_directory() -> tempfile::TempDir {
     if memory.is_dir() { tempfile::tempdir_in(memory).unwrap() } else { tempfile::tempdir().unwrap() }
 }
 
-async fn start(directory: &Path) -> Server {
+pub(super) async fn start(directory: &Path) -> Server {
     Server::with(|config| config.data_dir = Some(directory.to_owned())).await
 }
 
@@ -29,7 +25,7 @@ async fn scripted(directory: &Path) -> (Server, Script) {
     Server::scripted_with(|config| config.data_dir = Some(directory.to_owned())).await
 }
 
-fn insert(asset: &str, name: &str) -> Value {
+pub(super) fn insert(asset: &str, name: &str) -> Value {
     json!({ "op": "insert", "asset": asset, "name": name, "transform": translation(2.0, 0.01, 2.0),
         "budget": { "samples_per_element": 4 } })
 }
@@ -49,7 +45,7 @@ async fn delta(server: &Server, scene: &Value, since: u64) -> Answer {
     server.get(&format!("{}/lightmap/deltas?since={since}", path_of(scene))).await
 }
 
-fn names(scene: &Value) -> Vec<&str> {
+pub(super) fn names(scene: &Value) -> Vec<&str> {
     scene["objects"].as_array().unwrap().iter().map(|object| object["name"].as_str().unwrap()).collect()
 }
 
@@ -153,6 +149,45 @@ async fn jobs_that_wait_or_run_go_on_after_a_restart() {
     let now = server.get(&path_of(&scene)).await.json(200);
     assert_eq!(names(&now), ["room"]);
     server.stop().await;
+}
+
+#[tokio::test]
+async fn a_job_keeps_its_seed_across_a_restart() {
+    let directory = tempfile::tempdir().unwrap();
+    let with = |seed: u64| {
+        let directory = directory.path().to_owned();
+        Server::scripted_with(move |config| (config.seed, config.data_dir) = (seed, Some(directory)))
+    };
+    let (server, script) = with(7).await;
+    let scene = server.room("?samples_per_element=4000").await;
+    let bake = scene["current_job"].as_str().unwrap().to_owned();
+    script.run(&[Step::Round]);
+    server.until(&bake, |job| job["progress"]["version"] == 1).await;
+    server.stop().await;
+    let (server, script) = with(8).await;
+    script.run(&[Step::Round, Step::Round, Step::Finish]);
+    server.end_of(&bake).await;
+    let restarted = light(&server, &scene).await;
+    server.stop().await;
+
+    assert!(restarted == light_of_seed(7).await, "the job has the seed that it was accepted with");
+    assert!(restarted != light_of_seed(8).await);
+}
+
+/// A bake of two rounds by a service of this seed.
+async fn light_of_seed(seed: u64) -> Vec<Vec3> {
+    let (server, script) = Server::scripted_with(|config| config.seed = seed).await;
+    script.run(&[Step::Round, Step::Round, Step::Finish]);
+    let scene = server.baked_room("?samples_per_element=4000").await;
+    let light = light(&server, &scene).await;
+    server.stop().await;
+    light
+}
+
+async fn light(server: &Server, scene: &Value) -> Vec<Vec3> {
+    let mut follower = server.client.follow(scene["id"].as_str().unwrap());
+    follower.catch_up().await.unwrap();
+    follower.into_map().0
 }
 
 #[tokio::test]
@@ -288,129 +323,4 @@ async fn one_process_at_a_time_has_the_directory() {
     let config = rebake::Config { data_dir: Some(directory.path().to_owned()), ..rebake::Config::default() };
     let refused = rebake::run(listener, config, std::future::pending()).await.unwrap_err();
     assert!(refused.to_string().contains("the database is damaged"), "{refused}");
-}
-
-/// What a client was promised.
-#[derive(Default)]
-struct Promised {
-    scene: Option<String>,
-    objects: HashSet<String>,
-    asset: Option<String>,
-    ended: Option<(String, String)>,
-    refused: usize,
-}
-
-impl Promised {
-    /// The document where the answer is good; a storage problem is the only other one that is allowed.
-    fn take(&mut self, answer: &Answer) -> Option<Value> {
-        if answer.status.is_success() {
-            return Some(serde_json::from_slice(&answer.body).unwrap());
-        }
-        let detail = answer.problem(503, "storage");
-        assert!(detail.contains("the disk is full: nothing has changed"), "{detail}");
-        self.refused += 1;
-        None
-    }
-}
-
-/// A short life with every kind of change.
-async fn workload(server: &Server) -> Promised {
-    let mut promised = Promised::default();
-    let asset = promised.take(&server.post_glb("/v1/assets", crate_asset()).await);
-    promised.asset = asset.map(|asset| asset["asset"].as_str().unwrap().to_owned());
-    let created = server.post_glb("/v1/scenes?spacing=1&samples_per_element=4", room().bytes()).await;
-    let Some(scene) = promised.take(&created) else { return promised };
-    server.end_of(scene["current_job"].as_str().unwrap()).await;
-    promised.objects.extend(["room", "cupboard"].map(str::to_owned));
-    if let Some(asset) = promised.asset.clone() {
-        let edit = server.post_json(&format!("{}/edits", path_of(&scene)), &insert(&asset, "a")).await;
-        if let Some(job) = promised.take(&edit) {
-            promised.objects.insert("a".to_owned());
-            server.end_of(job["id"].as_str().unwrap()).await;
-        }
-    }
-    let remove = json!({ "op": "remove", "objects": ["cupboard"], "budget": { "samples_per_element": 500 } });
-    if let Some(job) = promised.take(&server.post_json(&format!("{}/edits", path_of(&scene)), &remove).await) {
-        promised.objects.remove("cupboard");
-        let id = job["id"].as_str().unwrap();
-        let canceled = server.delete(&format!("/v1/jobs/{id}")).await;
-        // On a fast machine it may be done by now.
-        if canceled.status != 409 && promised.take(&canceled).is_some() {
-            let state = server.end_of(id).await["state"].as_str().unwrap().to_owned();
-            promised.ended = Some((id.to_owned(), state));
-        }
-    }
-    promised.scene = Some(path_of(&scene));
-    promised
-}
-
-async fn check(server: &Server, promised: &Promised, about: &str) {
-    // Jobs whose end could not be kept run once more; what their edits changed is shown by then.
-    for job in server.get("/v1/jobs").await.json(200)["items"].as_array().unwrap() {
-        server.end_of(job["id"].as_str().unwrap()).await;
-    }
-    let scenes = server.get("/v1/scenes").await.json(200);
-    assert_eq!(scenes["items"].as_array().unwrap().len(), usize::from(promised.scene.is_some()), "{about}");
-    if let Some(scene) = &promised.scene {
-        let scene = server.get(scene).await.json(200);
-        assert_eq!(names(&scene).into_iter().map(str::to_owned).collect::<HashSet<_>>(), promised.objects, "{about}");
-    }
-    if promised.asset.is_some() {
-        assert_eq!(server.post_glb("/v1/assets", crate_asset()).await.status, 200, "{about}");
-    }
-    if let Some((job, state)) = &promised.ended {
-        assert_eq!(server.get(&format!("/v1/jobs/{job}")).await.json(200)["state"], state.as_str(), "{about}");
-    }
-}
-
-/// A server whose disk is full at some of its steps, counted from 0.
-async fn faulty(directory: &Path, fails: impl Fn(usize) -> bool + Send + Sync + 'static) -> (Server, Arc<AtomicUsize>) {
-    let steps = Arc::new(AtomicUsize::new(0));
-    let counted = steps.clone();
-    let armed = Arc::new(Mutex::new(false));
-    let its_armed = armed.clone();
-    let faults = Faults::new(move |_| {
-        if !*its_armed.lock().unwrap() {
-            return Ok(());
-        }
-        let step = counted.fetch_add(1, Ordering::SeqCst);
-        if fails(step) { Err(io::ErrorKind::StorageFull.into()) } else { Ok(()) }
-    });
-    let server = Server::with(|config| {
-        config.data_dir = Some(directory.to_owned());
-        config.faults = faults;
-    });
-    let server = server.await;
-    server.get("/readyz").await.json(200);
-    *armed.lock().unwrap() = true;
-    (server, steps)
-}
-
-#[tokio::test]
-async fn a_fault_at_any_write_is_told_and_loses_nothing() {
-    let directory = fast_directory();
-    let (server, steps) = faulty(directory.path(), |_| false).await;
-    let promised = workload(&server).await;
-    assert!(promised.refused == 0);
-    server.stop().await;
-    let count = steps.load(Ordering::SeqCst);
-    assert!(count > 30, "{count}");
-    for broken in 0..count {
-        // One fault, and at some steps a disk that stays full from there on.
-        for stays in [false, true].into_iter().take(1 + usize::from(broken % 3 == 0)) {
-            let about = format!("step {broken} of {count}, stays full: {stays}");
-            let directory = fast_directory();
-            let fails = move |step| step == broken || (stays && step > broken);
-            let (server, _) = faulty(directory.path(), fails).await;
-            let promised = workload(&server).await;
-            server.get("/healthz").await.json(200);
-            if let Some(scene) = &promised.scene {
-                server.get(scene).await.json(200);
-            }
-            server.stop().await;
-            let server = start(directory.path()).await;
-            check(&server, &promised, &about).await;
-            server.stop().await;
-        }
-    }
 }

@@ -14,22 +14,8 @@ use tokio::sync::watch;
 use tokio::time::MissedTickBehavior;
 
 use super::glb::{crate_asset, room, translation};
-use super::process::{Service, serve_until_killed};
+use super::process::Service;
 use super::server::{PATIENCE, Server, path_of};
-
-const CHILD: &str = "REBAKE_LOAD_CHILD";
-
-/// The service under load: this test binary, run by the test below.
-#[test]
-#[ignore = "run as a child process by the load test"]
-fn the_service_under_load() {
-    if std::env::var_os(CHILD).is_some() {
-        let mut config = rebake::Config { threads: 1, ..Default::default() };
-        // Both are full within seconds: from then on memory has to be flat.
-        (config.limits.finished_jobs, config.limits.events) = (200, 64);
-        serve_until_killed(config);
-    }
-}
 
 struct Load {
     seconds: u64,
@@ -64,10 +50,35 @@ struct Taken {
     pauses: u64,
 }
 
-/// Follows a scene until `end` tells the version that it has to reach; answers the map.
-async fn follow(server: &Server, scene: &str, habit: Habit, mut end: watch::Receiver<u64>) -> (Vec<Vec3>, u64, Taken) {
+/// What clients are told of the edits of a scene.
+struct Told {
+    /// How many there were.
+    edits: watch::Sender<u64>,
+    /// The last version, once there are no more.
+    end: watch::Sender<u64>,
+}
+
+impl Told {
+    fn new() -> Told {
+        Told { edits: watch::Sender::new(0), end: watch::Sender::new(0) }
+    }
+
+    /// Waits until there were some more edits, or there are no more.
+    async fn pause(&self) {
+        const EDITS: u64 = 6;
+        let (mut edits, mut end) = (self.edits.subscribe(), self.end.subscribe());
+        let enough = *edits.borrow() + EDITS;
+        tokio::select! {
+            _ = edits.wait_for(|edits| *edits >= enough) => {}
+            _ = end.wait_for(|version| *version > 0) => {}
+        }
+    }
+}
+
+/// Follows a scene until it is told the version that it has to reach; answers the map.
+async fn follow(server: &Server, scene: &str, habit: Habit, told: &Told) -> (Vec<Vec3>, u64, Taken) {
     const EVERY: u64 = 5;
-    const PAUSE: Duration = Duration::from_millis(700);
+    let mut end = told.end.subscribe();
     let mut follower = server.client.follow(scene);
     let mut taken = Taken::default();
     loop {
@@ -88,17 +99,16 @@ async fn follow(server: &Server, scene: &str, habit: Habit, mut end: watch::Rece
         taken.pauses += 1;
         if habit == Habit::Reconnects {
             let (map, version) = follower.into_map();
-            tokio::time::sleep(PAUSE).await;
+            told.pause().await;
             follower = DeltaFollower::resume(server.client.clone(), scene, map, version);
         } else {
-            tokio::time::sleep(PAUSE).await;
+            told.pause().await;
         }
     }
 }
 
 /// Edits a scene until the time is over, in bursts that the queue may merge; answers how many edits.
-async fn edit(server: &Server, scene: &Value, asset: &str, until: Instant) -> u64 {
-    let mut edits = 0;
+async fn edit(server: &Server, scene: &Value, asset: &str, told: &Told, until: Instant) -> u64 {
     for round in 0u32.. {
         let x = 1.0 + 0.1 * f64::from(round % 20);
         let at = |x: f64| translation(x, 0.01, 2.0);
@@ -116,7 +126,7 @@ async fn edit(server: &Server, scene: &Value, asset: &str, until: Instant) -> u6
                 let mut edit = edit.clone();
                 edit["budget"] = json!({ "samples_per_element": 4 });
                 last = server.edit(scene, &edit).await;
-                edits += 1;
+                told.edits.send_modify(|edits| *edits += 1);
             }
             let job = server.end_of(&last).await;
             assert_eq!(job["state"], "succeeded", "{job}");
@@ -125,18 +135,32 @@ async fn edit(server: &Server, scene: &Value, asset: &str, until: Instant) -> u6
             break;
         }
     }
-    edits
+    *told.edits.borrow()
 }
 
-/// Small requests at a steady pace until the time is over: how long each took, in milliseconds, sorted.
-async fn ask(server: &Server, scenes: &[Value], until: Instant) -> Vec<f64> {
+/// What the service was like under load.
+struct Watched {
+    /// How long small requests took, in milliseconds, sorted.
+    took: Vec<f64>,
+    /// At the start, at half time and at the end, in MiB, where the system tells.
+    memory: [Option<f64>; 3],
+}
+
+/// Small requests at a steady pace until the time is over.
+async fn ask(service: &Service, scenes: &[Value], until: Instant) -> Watched {
     let mut pace = tokio::time::interval(Duration::from_millis(10));
     pace.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut took = Vec::new();
+    let (mut took, start) = (Vec::new(), service.resident_mib());
+    let now = Instant::now();
+    let (half_time, mut half) = (now + (until - now) / 2, None);
     for n in 0.. {
         pace.tick().await;
-        if Instant::now() >= until {
+        let asked = Instant::now();
+        if asked >= until {
             break;
+        }
+        if half.is_none() && asked >= half_time {
+            half = service.resident_mib();
         }
         let path = match n % 4 {
             0 => "/healthz".to_owned(),
@@ -144,21 +168,11 @@ async fn ask(server: &Server, scenes: &[Value], until: Instant) -> Vec<f64> {
             2 => "/v1/jobs?limit=10".to_owned(),
             _ => "/v1/scenes".to_owned(),
         };
-        let asked = Instant::now();
-        assert_eq!(server.get(&path).await.status, 200, "{path}");
+        assert_eq!(service.server.get(&path).await.status, 200, "{path}");
         took.push(asked.elapsed().as_secs_f64() * 1e3);
     }
     took.sort_by(f64::total_cmp);
-    took
-}
-
-/// Memory at the start, at half time and at the end.
-async fn watch_memory(service: &Service, until: Instant) -> [Option<f64>; 3] {
-    let (start, now) = (service.resident_mib(), Instant::now());
-    tokio::time::sleep_until((now + (until - now) / 2).into()).await;
-    let half = service.resident_mib();
-    tokio::time::sleep_until(until.into()).await;
-    [start, half, service.resident_mib()]
+    Watched { took, memory: [start, half, service.resident_mib()] }
 }
 
 fn bits(map: &[Vec3]) -> Vec<[u32; 3]> {
@@ -168,7 +182,8 @@ fn bits(map: &[Vec3]) -> Vec<[u32; 3]> {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn under_load_nothing_is_lost() {
     let load = Load::chosen();
-    let service = Service::start("api::load::the_service_under_load", (CHILD, "1".as_ref()));
+    // Both logs are full within seconds: from then on memory has to be flat.
+    let service = Service::start(&["finished-jobs=200", "events=64"]);
     let server = &service.server;
     let asset = server.client.create_asset(crate_asset()).await.unwrap();
     let query = format!("/v1/scenes?samples_per_element=4&spacing={}", load.spacing);
@@ -179,23 +194,23 @@ async fn under_load_nothing_is_lost() {
         scenes.push(scene);
     }
 
-    let ends: Vec<watch::Sender<u64>> = scenes.iter().map(|_| watch::Sender::new(0)).collect();
+    let told: Vec<Told> = scenes.iter().map(|_| Told::new()).collect();
     let clients = (0..load.clients).map(async |n| {
         let habit = [Habit::Steady, Habit::Steady, Habit::Stalls, Habit::Reconnects][n / load.scenes % 4];
         let scene = n % load.scenes;
-        (scene, follow(server, scenes[scene]["id"].as_str().unwrap(), habit, ends[scene].subscribe()).await)
+        (scene, follow(server, scenes[scene]["id"].as_str().unwrap(), habit, &told[scene]).await)
     });
     let until = Instant::now() + Duration::from_secs(load.seconds);
     let work = async {
-        let edits = join_all(scenes.iter().map(|scene| edit(server, scene, &asset, until)));
-        let (edits, took, memory) = tokio::join!(edits, ask(server, &scenes, until), watch_memory(&service, until));
-        for (scene, end) in scenes.iter().zip(&ends) {
-            end.send_replace(server.get(&path_of(scene)).await.json(200)["version"].as_u64().unwrap());
+        let edits = join_all(scenes.iter().zip(&told).map(|(scene, told)| edit(server, scene, &asset, told, until)));
+        let (edits, watched) = tokio::join!(edits, ask(&service, &scenes, until));
+        for (scene, told) in scenes.iter().zip(&told) {
+            told.end.send_replace(server.get(&path_of(scene)).await.json(200)["version"].as_u64().unwrap());
         }
-        (edits.iter().sum::<u64>(), took, memory)
+        (edits.iter().sum::<u64>(), watched)
     };
     let all = async { tokio::join!(join_all(clients), work) };
-    let (clients, (edits, took, memory)) =
+    let (clients, (edits, Watched { took, memory })) =
         tokio::time::timeout(Duration::from_secs(load.seconds) + 3 * PATIENCE, all).await.expect("it ends");
 
     let mut total = Taken::default();

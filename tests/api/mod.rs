@@ -11,6 +11,7 @@ mod edits;
 mod engine;
 mod errors;
 mod events;
+mod faults;
 mod fuzz;
 mod glb;
 mod idle;

@@ -1,21 +1,9 @@
-//! A service in a process of its own: this test binary, which runs one of its ignored tests.
+//! A service in a process of its own.
 
-use std::ffi::OsStr;
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 
-use rebake::Config;
-
 use super::server::Server;
-
-/// What the ignored test does: serves until it is killed, and tells where.
-pub(crate) fn serve_until_killed(config: Config) {
-    tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap().block_on(async {
-        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-        eprintln!("listening on http://{}", listener.local_addr().unwrap());
-        rebake::run(listener, config, std::future::pending()).await.unwrap();
-    });
-}
 
 /// A child process with the service; killed when it is dropped.
 pub(crate) struct Service {
@@ -24,21 +12,22 @@ pub(crate) struct Service {
 }
 
 impl Service {
-    /// Runs the ignored test of this name with this variable set.
-    pub(crate) fn start(test: &str, variable: (&str, &OsStr)) -> Service {
-        let mut child = Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", test, "--ignored", "--nocapture"])
-            .env(variable.0, variable.1)
+    /// Starts it with these settings, `name=value` each.
+    pub(crate) fn start(settings: &[&str]) -> Service {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_service-under-test"))
+            .args(settings)
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
             .spawn()
             .unwrap();
-        let lines = BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok);
-        let base = lines.into_iter().find_map(|line| line.strip_prefix("listening on ").map(str::to_owned));
-        match base {
-            Some(base) => Service { child, server: Server::elsewhere(&base) },
-            None => panic!("the service did not start: {}", child.wait().unwrap()),
+        let mut told = String::new();
+        for line in BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok) {
+            match line.strip_prefix("listening on ") {
+                Some(base) => return Service { child, server: Server::elsewhere(base) },
+                None => told = line,
+            }
         }
+        panic!("the service did not start: {}: {told}", child.wait().unwrap())
     }
 
     /// Memory of the process in MiB, where the system tells.

@@ -7,9 +7,10 @@ use axum::extract::State;
 use axum::http::{HeaderMap, HeaderName, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
+use serde_json::Value;
 
 use super::edit_parse::{Parsed, parse, to_budget, to_edits, to_focus};
-use super::edit_types::EditRequest;
+use super::edit_types::{self, EditRequest};
 use super::extract::{ApiPath, ETags, read_body, require_content_type, text_header};
 use super::layers::check_edits;
 use super::problem::{ApiResult, Kind, Problem};
@@ -17,7 +18,7 @@ use super::types::{Job, to_event_data};
 use super::uploads::{full_problem, memory_problem, next_seed};
 use super::{Shared, find_scene, require_serving};
 use crate::config::Config;
-use crate::engine::{Edit, EditError, EditErrorKind, Scene, World};
+use crate::engine::{Edit, EditError, EditErrorKind, Focus, Scene, World};
 use crate::jobs::merge::dragged_by;
 use crate::jobs::queue::JobKind;
 use crate::jobs::{JobSpec, new_record};
@@ -146,7 +147,7 @@ fn accept(
         app.pictures.remember(scene.number, scene.published());
     }
     let mut jobs = head.jobs;
-    spec.seed = next_seed(&mut jobs);
+    spec.seed = next_seed(app.config.seed, &mut jobs);
     spec.sequence = head.sequence + u64::from(transition.is_some());
     let record = new_record(ticket.number, scene, &spec);
     let job = Job::new(&app.ids, &record.job, &scene.id);
@@ -202,6 +203,16 @@ pub fn read_edits(
     to_budget(parsed.budget, "budget", config.defaults.edit_samples, &config).map_err(told)?;
     parsed.focus.as_ref().map(|focus| to_focus(focus, world)).transpose().map_err(told)?;
     to_edits(&parsed, &held, config.limits.name_chars).map_err(told)
+}
+
+/// Reads a focus as an edit carries it, for a scene with these cameras.
+///
+/// # Errors
+/// What is wrong with it, for people.
+pub fn read_focus(focus: &Value, world: &World) -> Result<Focus, String> {
+    let focus: edit_types::Focus =
+        serde_path_to_error::deserialize(focus).map_err(|error| format!("focus: {error}"))?;
+    to_focus(&focus, world).map_err(|problem| problem.to_string())
 }
 
 fn idempotency_key(headers: &HeaderMap) -> ApiResult<Option<String>> {

@@ -39,7 +39,7 @@ pub(crate) use coding::encode_body;
 pub(crate) use extract::{Coding, ETags};
 use tower_http::cors::{AllowOrigin, Any, CorsLayer};
 
-pub use edits::read_edits;
+pub use edits::{read_edits, read_focus};
 pub use openapi::document;
 pub(crate) use uploads::next_seed;
 

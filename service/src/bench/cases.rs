@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail, ensure};
 use glam::{DMat4, Vec3};
+use rebake_core::export::write_scene_glb;
 use rebake_core::scene::{LightKind, LoadLimits, Scene, load_glb};
 use rebake_core::{Edit, Transition, World, WorldOptions};
 use serde::Deserialize;
@@ -88,7 +89,7 @@ impl Case {
     /// Loads what the case needs from `folder` and applies it. Errors name the field at fault.
     pub fn prepare(&self, scene: &Scene, folder: &Path, options: &WorldOptions) -> Result<PreparedCase> {
         let (before, edits) = self.edits(scene, folder)?;
-        let before = World::new(before, options)?;
+        let before = World::new(as_uploaded(&before)?, options)?;
         let transition = before.apply(&edits)?;
         let trees = transition.after.rebuilt_trees();
         let after = transition.after.with_trees(trees).context("the trees do not fit the scene")?;
@@ -114,7 +115,7 @@ impl Case {
                 };
                 let name = format!("inserted: {}", self.name);
                 vec![Edit::Insert {
-                    asset: Arc::new(asset),
+                    asset: Arc::new(as_uploaded(&asset).context("asset")?),
                     name,
                     transform: self.transform.map_or(DMat4::IDENTITY, |t| matrix(&t)),
                 }]
@@ -181,6 +182,12 @@ fn load_asset(path: &Path) -> Result<Scene> {
     let cannot = || format!("cannot load {}", path.display());
     let bytes = std::fs::read(path).with_context(cannot)?;
     load_glb(&bytes, &LoadLimits::default()).with_context(cannot)
+}
+
+/// A scene as a service reads it that it is sent to. Transforms are rounded on the way, and where an edge is as long as the
+/// spacing allows the last bit decides how it is cut.
+fn as_uploaded(scene: &Scene) -> Result<Scene> {
+    Ok(load_glb(&write_scene_glb(scene)?, &LoadLimits::default())?)
 }
 
 /// Moves objects, with the lights on them, into a scene of their own.

@@ -1,8 +1,10 @@
-//! RMSE against time as an SVG picture: one panel per case, log-log, one curve per method.
+//! RMSE against time as an SVG picture: one panel per case, one curve per method. Errors are logarithmic; time is, too,
+//! but for drags.
 
 use std::fmt::Write;
 
-use super::{CaseReport, Mode, Report, RunReport};
+use super::study::Curve;
+use super::{CaseReport, Mode, Report, RunReport, Study, StudyCase, StudyReport};
 
 /// Size of a panel's frame and the room around it, pixels.
 const WIDTH: f64 = 400.0;
@@ -16,11 +18,83 @@ const HEAD: f64 = 64.0;
 /// Colours that stay apart for colour-blind readers (Okabe and Ito), and marks that stay apart without colour.
 const COLORS: [&str; 7] = ["#0072b2", "#e69f00", "#cc79a7", "#d55e00", "#009e73", "#56b4e9", "#000000"];
 
+/// What is drawn.
+struct Sheet<'a> {
+    title: &'a str,
+    /// Of the curves.
+    labels: Vec<String>,
+    note: String,
+    mode: Mode,
+    /// Time is a logarithmic axis as the error always is; else it begins at 0.
+    log_time: bool,
+    panels: Vec<Panel<'a>>,
+}
+
+/// One diagram.
+struct Panel<'a> {
+    title: &'a str,
+    note: String,
+    /// Horizontal lines: error, text, dashes.
+    lines: Vec<(f64, &'static str, &'static str)>,
+    /// Seconds and error; in the order of the labels.
+    curves: Vec<Vec<(f64, f64)>>,
+}
+
 /// Draws a report.
 pub fn svg(report: &Report) -> String {
     let labels = labels(report);
-    let columns = report.cases.len().clamp(1, 3);
-    let rows = report.cases.len().div_ceil(columns).max(1);
+    let panel = |case| case_panel(case, &labels);
+    let panels = report.cases.iter().map(panel).collect();
+    let note = format!("{} elements, {} threads, medians of {} runs", report.elements, report.threads, report.seeds);
+    draw(&Sheet { title: &report.scene, labels: labels.clone(), note, mode: report.mode, log_time: true, panels })
+}
+
+/// Draws the report of a study.
+pub fn study_svg(report: &StudyReport) -> String {
+    let labels = report.cases.first().map(|case| case.curves.iter().map(|curve| curve.label.clone()).collect());
+    draw(&Sheet {
+        title: &report.scene,
+        labels: labels.unwrap_or_default(),
+        note: format!("{} elements, {} threads, {} runs", report.elements, report.threads, report.seeds),
+        mode: report.mode,
+        log_time: matches!(report.study, Study::Focus { .. }),
+        panels: report.cases.iter().map(study_panel).collect(),
+    })
+}
+
+fn study_panel(case: &StudyCase) -> Panel<'_> {
+    let points = |curve: &Curve| curve.points.iter().map(|point| (point.seconds, point.rmse)).collect();
+    Panel {
+        title: &case.name,
+        note: case.about.clone(),
+        lines: vec![(case.reference.rmse_noise, NOISE, "2 4")],
+        curves: case.curves.iter().map(points).collect(),
+    }
+}
+
+/// Text of the line at the reference's own error.
+const NOISE: &str = "noise of the reference";
+
+fn case_panel<'a>(case: &'a CaseReport, labels: &[String]) -> Panel<'a> {
+    let curve = |label: &String| {
+        let runs = case.runs.iter().filter(|r| r.label() == *label);
+        let mut points: Vec<(f64, f64)> = runs.map(|r| (r.seconds, r.rmse)).collect();
+        points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        points
+    };
+    let noise = case.reference.rmse_noise;
+    let untouched = case.no_update_rmse.unwrap_or(0.0);
+    Panel {
+        title: &case.name,
+        note: format!("{:.1} % of the area", 100.0 * case.edited_share),
+        lines: vec![(untouched, "no update", "7 4"), (noise, NOISE, "2 4")],
+        curves: labels.iter().map(curve).collect(),
+    }
+}
+
+fn draw(sheet: &Sheet) -> String {
+    let columns = sheet.panels.len().clamp(1, 3);
+    let rows = sheet.panels.len().div_ceil(columns).max(1);
     let (cell_width, cell_height) = (LEFT + WIDTH + RIGHT, TOP + HEIGHT + BOTTOM);
     let (width, height) = ((cell_width * columns as f64).max(760.0), HEAD + cell_height * rows as f64);
     let mut out = String::new();
@@ -30,12 +104,12 @@ pub fn svg(report: &Report) -> String {
          viewBox=\"0 0 {width} {height}\" font-family=\"sans-serif\" font-size=\"12\" fill=\"#222\">\n\
          <rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n"
     );
-    head(&mut out, report, &labels, width);
-    for (k, case) in report.cases.iter().enumerate() {
+    head(&mut out, sheet, width);
+    for (k, panel) in sheet.panels.iter().enumerate() {
         let x = (k % columns) as f64 * cell_width + LEFT;
         let y = HEAD + (k / columns) as f64 * cell_height + TOP;
         let _ = writeln!(out, "<g transform=\"translate({x:.0} {y:.0})\">");
-        panel(&mut out, case, &labels, report.mode);
+        diagram(&mut out, panel, sheet);
         out.push_str("</g>\n");
     }
     out.push_str("</svg>\n");
@@ -53,19 +127,17 @@ fn labels(report: &Report) -> Vec<String> {
     labels
 }
 
-fn head(out: &mut String, report: &Report, labels: &[String], width: f64) {
+fn head(out: &mut String, sheet: &Sheet, width: f64) {
     let _ = writeln!(
         out,
         "<text x=\"16\" y=\"24\" font-size=\"15\" font-weight=\"bold\">{}</text>\
-         <text x=\"{:.0}\" y=\"24\" text-anchor=\"end\" fill=\"#666\">{} elements, {} threads, medians of {} runs</text>",
-        escape(&report.scene),
+         <text x=\"{:.0}\" y=\"24\" text-anchor=\"end\" fill=\"#666\">{}</text>",
+        escape(sheet.title),
         width - 16.0,
-        report.elements,
-        report.threads,
-        report.seeds
+        escape(&sheet.note)
     );
     let mut x = 16.0;
-    for (k, label) in labels.iter().enumerate() {
+    for (k, label) in sheet.labels.iter().enumerate() {
         let color = COLORS[k % COLORS.len()];
         let _ = write!(
             out,
@@ -78,11 +150,12 @@ fn head(out: &mut String, report: &Report, labels: &[String], width: f64) {
     }
 }
 
-/// A logarithmic axis over whole steps of 1, 2, 5.
+/// An axis, logarithmic or from 0.
 struct Axis {
     low: f64,
     high: f64,
     length: f64,
+    is_log: bool,
 }
 
 impl Axis {
@@ -91,16 +164,30 @@ impl Axis {
             .filter(|v| v.is_finite() && *v > 0.0)
             .fold((f64::INFINITY, 0.0f64), |(l, h), v| (l.min(v), h.max(v)));
         let (low, high) = if low <= high { (low, high) } else { (0.1, 10.0) };
-        Axis { low: low / 1.3, high: high * 1.3, length }
+        Axis { low: low / 1.3, high: high * 1.3, length, is_log: true }
+    }
+
+    /// From 0, with values in even steps.
+    fn begun_at_zero(self) -> Axis {
+        Axis { low: 0.0, high: self.high / 1.3, is_log: false, ..self }
     }
 
     /// Distance from the low end.
     fn at(&self, value: f64) -> f64 {
-        (value / self.low).ln() / (self.high / self.low).ln() * self.length
+        match self.is_log {
+            true => (value / self.low).ln() / (self.high / self.low).ln() * self.length,
+            false => value / self.high * self.length,
+        }
     }
 
-    /// Values to label: 1, 2, 5 per decade, or decades alone where there are many.
+    /// Values to label: 1, 2, 5 per decade, or decades alone where there are many; about five even steps from 0.
     fn ticks(&self) -> Vec<f64> {
+        if !self.is_log {
+            let decade = 10f64.powf((self.high / 5.0).log10().floor());
+            let step = [1.0, 2.0, 5.0, 10.0].map(|s| s * decade).into_iter().rfind(|s| *s <= self.high / 4.0);
+            let step = step.unwrap_or(decade);
+            return (0..=(self.high / step + 1e-9) as u32).map(|k| f64::from(k) * step).collect();
+        }
         let decades = (self.high / self.low).log10();
         let steps: &[f64] = if decades > 3.0 { &[1.0] } else { &[1.0, 2.0, 5.0] };
         let exponents = self.low.log10().floor() as i32..=self.high.log10().ceil() as i32;
@@ -109,24 +196,24 @@ impl Axis {
     }
 }
 
-fn panel(out: &mut String, case: &CaseReport, labels: &[String], mode: Mode) {
-    let xs = Axis::over(case.runs.iter().map(|r| r.seconds), WIDTH);
-    let noise = case.reference.rmse_noise;
-    let errors = case.runs.iter().map(|r| r.rmse).chain(case.no_update_rmse).chain([noise]);
+fn diagram(out: &mut String, panel: &Panel, sheet: &Sheet) {
+    let points = || panel.curves.iter().flatten();
+    let xs = Axis::over(points().map(|p| p.0), WIDTH);
+    let xs = if sheet.log_time { xs } else { xs.begun_at_zero() };
+    let errors = points().map(|p| p.1).chain(panel.lines.iter().map(|line| line.0));
     let ys = Axis::over(errors, HEIGHT);
     let y_of = |v: f64| HEIGHT - ys.at(v);
     let _ = writeln!(
         out,
         "<text x=\"0\" y=\"-14\" font-size=\"14\" font-weight=\"bold\">{}</text>\
-         <text x=\"{WIDTH}\" y=\"-14\" text-anchor=\"end\" fill=\"#666\">{:.1} % of the area</text>",
-        escape(&case.name),
-        100.0 * case.edited_share
+         <text x=\"{WIDTH}\" y=\"-14\" text-anchor=\"end\" fill=\"#666\">{}</text>",
+        escape(panel.title),
+        escape(&panel.note)
     );
-    grid(out, &xs, &ys, mode);
-    let untouched = case.no_update_rmse.unwrap_or(0.0);
-    for (value, text, dash) in [(untouched, "no update", "7 4"), (noise, "noise of the reference", "2 4")] {
-        if value > 0.0 {
-            let y = y_of(value);
+    grid(out, &xs, &ys, sheet.mode);
+    for (value, text, dash) in &panel.lines {
+        if *value > 0.0 {
+            let y = y_of(*value);
             let _ = writeln!(
                 out,
                 "<line x1=\"0\" y1=\"{y:.1}\" x2=\"{WIDTH}\" y2=\"{y:.1}\" stroke=\"#777\" stroke-dasharray=\"{dash}\"/>\
@@ -137,11 +224,9 @@ fn panel(out: &mut String, case: &CaseReport, labels: &[String], mode: Mode) {
             );
         }
     }
-    for (k, label) in labels.iter().enumerate() {
-        let runs = case.runs.iter().filter(|r| r.label() == *label && r.rmse > 0.0);
-        let mut points: Vec<(f64, f64)> = runs.map(|r| (r.seconds, r.rmse)).collect();
-        points.sort_by(|a, b| a.0.total_cmp(&b.0));
-        curve(out, k, points.into_iter().map(|(s, e)| (xs.at(s), y_of(e))).collect());
+    for (k, points) in panel.curves.iter().enumerate() {
+        let shown = points.iter().filter(|(s, e)| *e > 0.0 && (*s > 0.0 || !sheet.log_time));
+        curve(out, k, shown.map(|(s, e)| (xs.at(*s), y_of(*e))).collect());
     }
 }
 
@@ -183,7 +268,9 @@ fn curve(out: &mut String, k: usize, points: Vec<(f64, f64)>) {
     let color = COLORS[k % COLORS.len()];
     let _ =
         writeln!(out, "<polyline points=\"{}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"2\"/>", path.join(" "));
-    points.into_iter().for_each(|(x, y)| mark(out, k, x, y));
+    // Marks of a dense curve would hide it: some of them tell it apart.
+    let every = points.len().div_ceil(24).max(1);
+    points.into_iter().step_by(every).for_each(|(x, y)| mark(out, k, x, y));
 }
 
 fn mark(out: &mut String, k: usize, x: f64, y: f64) {
@@ -220,6 +307,9 @@ mod tests {
             ["0.01", "0.02", "0.05", "0.1", "0.2", "0.5", "1"]
         );
         assert!(!Axis::over(std::iter::empty(), 100.0).ticks().is_empty());
+        let even = Axis::over([4.5].into_iter(), 90.0).begun_at_zero();
+        assert_eq!(even.ticks(), [0.0, 1.0, 2.0, 3.0, 4.0]);
+        assert!((even.at(1.0) - 20.0).abs() < 1e-9);
     }
 
     #[test]

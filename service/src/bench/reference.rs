@@ -53,7 +53,18 @@ fn value(map: &LightMap, slot: usize, mode: Mode) -> DVec3 {
 impl Reference {
     /// Draws `count` valid elements by systematic sampling over the area and traces `samples` paths for each.
     pub fn trace(world: &World, count: usize, samples: u32, seed: u64) -> Reference {
-        let slots = draw(world, count);
+        Reference::trace_among(world, count, samples, seed, |_| true)
+    }
+
+    /// The same of elements that `is_wanted`.
+    pub fn trace_among(
+        world: &World,
+        count: usize,
+        samples: u32,
+        seed: u64,
+        is_wanted: impl Fn(usize) -> bool,
+    ) -> Reference {
+        let slots = draw(world, count, is_wanted);
         let mut distinct = slots.clone();
         distinct.dedup();
         let half = samples.div_ceil(2).max(1);
@@ -145,10 +156,10 @@ fn mean_square(a: DVec3, b: DVec3) -> f64 {
     a.dot(b) / 3.0
 }
 
-/// Systematic sampling over the area of all valid elements.
-fn draw(world: &World, count: usize) -> Vec<u32> {
+/// Systematic sampling over the area of all valid elements that are wanted.
+fn draw(world: &World, count: usize, is_wanted: impl Fn(usize) -> bool) -> Vec<u32> {
     let areas = world.areas();
-    let valid = |i: &usize| areas[*i] > 0.0 && world.is_valid(*i);
+    let valid = |i: &usize| areas[*i] > 0.0 && world.is_valid(*i) && is_wanted(*i);
     let total: f64 = (0..world.slots()).filter(valid).map(|i| f64::from(areas[i])).sum();
     let step = total / count as f64;
     let (mut slots, mut covered, mut next) = (Vec::with_capacity(count), 0.0, 0.37 * step);

@@ -3,7 +3,7 @@
 
 use serde::Serialize;
 
-use super::Mode;
+use super::{Mode, Reference};
 
 /// All cases of a scene.
 #[derive(Clone, Debug, Serialize)]
@@ -116,6 +116,18 @@ pub struct RunReport {
     /// For `paper`: M.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub path_length: Option<u32>,
+}
+
+impl ReferenceReport {
+    /// What a reference is.
+    pub fn of(reference: &Reference, mode: Mode) -> ReferenceReport {
+        ReferenceReport {
+            samples_per_element: reference.samples,
+            rmse_noise: reference.noise(mode),
+            elements: reference.slots.len(),
+            mean: reference.mean(mode),
+        }
+    }
 }
 
 impl RunReport {

@@ -8,7 +8,7 @@ use rebake_core::scene::Scene;
 use rebake_core::{Budget, LightMap, Unobserved, World, WorldOptions, bake};
 
 use super::report::{BaseReport, CaseReport, ReferenceReport, Report, RunReport};
-use super::{Case, EditFile, Goal, Method, Mode, PreparedCase, Reference, Timed, run_method, run_service};
+use super::{Case, EditFile, Goal, Method, Mode, PreparedCase, Reference, StudyReport, Timed, run_method, run_service};
 
 /// What to run, and how long.
 #[derive(Clone, Debug)]
@@ -44,6 +44,11 @@ pub trait Watcher {
 
     /// A case is done; `report` holds all that are.
     fn case_done(&mut self, _report: &Report) -> Result<()> {
+        Ok(())
+    }
+
+    /// The same of a study.
+    fn study_case_done(&mut self, _report: &StudyReport) -> Result<()> {
         Ok(())
     }
 }
@@ -122,12 +127,7 @@ fn run_case(case: &PreparedCase, options: &Options, watcher: &mut dyn Watcher) -
         name: case.name.clone(),
         elements: case.after.element_count(),
         edited_share: case.edited_share(),
-        reference: ReferenceReport {
-            samples_per_element: reference.samples,
-            rmse_noise: reference.noise(mode),
-            elements: reference.slots.len(),
-            mean: reference.mean(mode),
-        },
+        reference: ReferenceReport::of(&reference, mode),
         base: BaseReport { method: "bake", samples_per_element: options.base_samples, rmse: base_rmse },
         no_update_rmse: (!only_service).then(|| reference.mean_square_error(&untouched, mode).root()),
         runs,
@@ -184,7 +184,7 @@ fn gains(runs: &[RunReport], seconds: impl Fn(&RunReport) -> Option<f64>) -> Vec
     runs.iter().map(|run| Some(constant? / product(run)?)).collect()
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
+pub(super) fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let n = values.len();
     if n == 0 { f64::NAN } else { 0.5 * (values[(n - 1) / 2] + values[n / 2]) }

@@ -98,7 +98,7 @@ fn refine(app: &Arc<App>, scene: &Arc<SceneEntry>, spell: Spell, bounds: IdleRef
     let stated = map.estimated_rmse(world.areas());
     tracing::debug!(scene = scene.id, stated, target, "refining");
     // Versions do not repeat, so every spell has random numbers of its own.
-    let seed = next_seed(&mut (FIRST_SEED | published.version));
+    let seed = next_seed(app.config.seed, &mut (FIRST_SEED | published.version));
     let held = Held { map: map.clone(), stated, clock: PhaseClock::default(), saved: Instant::now(), is_over: false };
     let observer = IdleObserver { app, scene, stop, held: Mutex::new(held) };
     // Where it was canceled the last snapshot stands.

@@ -3,7 +3,7 @@
 use std::collections::{HashSet, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use crate::engine::{Layer, LightMap, World, fitted};
+use crate::engine::{Layer, LightMap, VALUE_BYTES, World, fitted};
 
 /// States kept per scene.
 const KEPT: usize = 4;
@@ -38,12 +38,11 @@ impl Earlier {
 
     /// Bytes of the maps that are kept, without the layers that they share with each other and with `shown`.
     pub(crate) fn memory_bytes(&self, shown: &LightMap) -> usize {
-        const PER_ELEMENT: usize = 28;
         let mut counted: HashSet<*const Layer> = shown.layers.iter().map(Arc::as_ptr).collect();
         let mut bytes = 0;
         for (_, map) in self.lock().iter() {
             let own = map.layers.iter().filter(|layer| counted.insert(Arc::as_ptr(layer)));
-            bytes += (map.len() + own.map(|layer| layer.direct.len()).sum::<usize>()) * PER_ELEMENT;
+            bytes += (map.len() + own.map(|layer| layer.direct.len()).sum::<usize>()) * VALUE_BYTES;
         }
         bytes
     }

@@ -8,10 +8,10 @@ use glam::Vec3;
 use rebake_core::delta::{Frame, same_bits};
 
 use super::versions::Part;
-use crate::engine::{Layer, LightMap};
+use crate::engine::{Layer, LightMap, VALUE_BYTES};
 
-/// Bytes of one element in one layer: direct, indirect, variance, and the version that last changed it.
-pub(crate) const LAYER_BYTES: usize = 36;
+/// Bytes of one element in one layer: its values, and the version that last changed it.
+pub(crate) const LAYER_BYTES: usize = VALUE_BYTES + size_of::<u64>();
 
 /// One layer of a published map.
 #[derive(Clone)]

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::layers::PublishedLayer;
 use super::records::LightState;
-use crate::engine::{LightMap, ObjectSummary, World, layout_hash, objects};
+use crate::engine::{LightMap, ObjectSummary, VALUE_BYTES, World, layout_hash, objects};
 
 /// Versions that are reserved for a scene at once. No version above the reserved ones is ever given, so after a crash
 /// the next one is new even where the light of the last ones is lost.
@@ -278,8 +278,8 @@ impl Published {
 
     /// Bytes of the map and what is kept beside it.
     pub(crate) fn memory_bytes(&self) -> usize {
-        let vec3 = size_of::<Vec3>();
-        let per_slot = 2 * vec3 + size_of::<f32>() + size_of::<u64>() + if self.totals.is_some() { vec3 } else { 0 };
+        let totals = if self.totals.is_some() { size_of::<Vec3>() } else { 0 };
+        let per_slot = VALUE_BYTES + size_of::<u64>() + totals;
         self.map.len() * per_slot + self.layer_bytes()
     }
 

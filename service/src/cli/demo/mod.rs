@@ -78,20 +78,13 @@ pub(super) async fn demo(args: DemoArgs) -> anyhow::Result<()> {
     let listener =
         serve::listen(args.listen.unwrap_or(default)).await.context("give the demo another address with --listen")?;
     let address = listener.local_addr().context("cannot tell the address")?;
-    let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
-    let shutdown = async {
-        // A dropped sender means the same.
-        let _ = stopped.await;
+    let work = async {
+        tokio::select! {
+            result = steps(&args, address, stays) => result,
+            _ = tokio::signal::ctrl_c() => Err(Interrupted("").into()),
+        }
     };
-    let service = tokio::spawn(rebake::run(listener, serve::config(args.threads), shutdown));
-
-    let result = tokio::select! {
-        result = steps(&args, address, stays) => result,
-        _ = tokio::signal::ctrl_c() => Err(Interrupted("").into()),
-    };
-    drop(stop);
-    service.await.context("the service broke down")?.context("the service stopped")?;
-    result
+    rebake::run_while(listener, serve::config(args.threads), work).await.context("the service stopped")?
 }
 
 /// All steps, and the time after them.

@@ -1,11 +1,15 @@
 //! `rebake bench`: speed against error of all methods, side by side.
 
+mod study;
+
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use indicatif::ProgressBar;
-use rebake::bench::{self, CaseReport, EditFile, Equation, Goal, Method, Options, Report, RunReport, Watcher};
+use rebake::bench::{
+    self, CaseReport, EditFile, Equation, Goal, Method, Options, Report, RunReport, StudyReport, Watcher,
+};
 use rebake_core::scene::{LoadLimits, Scene, load_glb};
 
 use super::demo;
@@ -24,13 +28,20 @@ Every method starts from the same scene, elements and trees; updates start from 
 Errors are RMSE of radiance / albedo, weighted by area, against path tracing of the scene after the edit; the \
 reference's own noise is taken out. The bias floor is what independent runs of a method have in common. Beside the \
 report a plot of the same name is written, ending in .svg.
+
+--measure focus and --measure drag ask a service over loopback instead, as a client: the first tells when what \
+--focus looks at has a given error, with a focus and without; the second the error while the objects of a move are \
+taken to its transform and back, ten moves per second, beside a client that bakes the scene at every move.
   rebake bench -o report.json
   rebake bench room.glb room.edits.json -o report.json
   rebake bench room.glb room.edits.json --methods service --samples 32 -o service.json
   rebake bench room.glb room.edits.json --cases sofa --mode indirect --budget-seconds 0.5,2,8 -o report.json
   rebake bench room.glb room.edits.json --samples 4,16,64,256 -o sweep.json
   rebake bench room.glb room.edits.json --methods paper --iterations 1,2,4,8 --samples 256 -o over-n.json
-  rebake bench room.glb room.edits.json --methods paper --path-length 0,1,2,3,4,5 --samples 256 -o over-m.json";
+  rebake bench room.glb room.edits.json --methods paper --path-length 0,1,2,3,4,5 --samples 256 -o over-m.json
+  rebake bench --measure focus -o focus.json
+  rebake bench room.glb room.edits.json --measure focus --focus '{\"point\":[1,1,1],\"radius\":1}' -o focus.json
+  rebake bench --measure drag -o drag.json";
 
 /// Arguments of `rebake bench`.
 #[derive(Debug, clap::Args)]
@@ -45,10 +56,19 @@ pub(super) struct BenchArgs {
     /// Report to write
     #[arg(short, long, value_name = "REPORT.json", value_parser = json_file)]
     output: PathBuf,
+    /// What to measure
+    #[arg(long, value_enum, default_value_t = What::Edits)]
+    measure: What,
+    /// For --measure focus: what somebody looks at, as the API takes it [default: the scene's first camera]
+    #[arg(long, value_name = "JSON", value_parser = focus_json)]
+    focus: Option<serde_json::Value>,
+    /// For --measure drag: how many moves
+    #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u32).range(2..))]
+    moves: u32,
     /// Seconds that each run has
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "0.5,2,8", value_parser = positive)]
     budget_seconds: Vec<f64>,
-    /// Samples per element of each run, instead of seconds
+    /// Samples per element of each run, instead of seconds; of each edit for --measure focus [default there: 64]
     #[arg(long, value_name = "LIST", value_delimiter = ',', conflicts_with = "budget_seconds",
           value_parser = clap::value_parser!(u32).range(1..))]
     samples: Vec<u32>,
@@ -103,6 +123,16 @@ pub(super) struct BenchArgs {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum What {
+    /// Speed against error of each method
+    Edits,
+    /// Time to a given error in what somebody looks at
+    Focus,
+    /// Error while objects are dragged, and afterwards
+    Drag,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum MethodName {
     /// From scratch, path by path
     PathTrace,
@@ -126,6 +156,10 @@ fn json_file(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     let json = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("json"));
     if json { Ok(path) } else { Err("the file has to end in .json".to_owned()) }
+}
+
+fn focus_json(text: &str) -> Result<serde_json::Value, String> {
+    serde_json::from_str(text).map_err(|error| error.to_string())
 }
 
 impl BenchArgs {
@@ -194,16 +228,20 @@ fn bench_file(args: &BenchArgs) -> anyhow::Result<()> {
         _ => {
             let (scene, spacing) = demo::bench_scene();
             options.spacing.get_or_insert(spacing);
-            ("the demo's room".into(), scene, EditFile::from_json(DEMO_CASES)?, Path::new("."))
+            let cases = if args.measure == What::Drag { study::DEMO_DRAG } else { DEMO_CASES };
+            ("the demo's room".into(), scene, EditFile::from_json(cases)?, Path::new("."))
         }
     };
     // A place that cannot be written is better known before the bench than after it.
     drop(Replacement::begin(&args.output)?);
     let mut screen = Screen { output: args.output.clone(), spinner: ui::spinner("bench") };
-    let report = bench::run(&name, &scene, &file, folder, &options, &mut screen);
+    let done = match study::study(args) {
+        None => bench::run(&name, &scene, &file, folder, &options, &mut screen).map(drop),
+        Some(study) => bench::run_study(&study, &name, &scene, &file, folder, &options, &mut screen).map(drop),
+    };
     screen.spinner.finish_and_clear();
     let source = args.edits.as_ref().map_or_else(|| name.to_string(), |edits| edits.display().to_string());
-    report.context(source).map(drop)
+    done.context(source)
 }
 
 /// Edits of the demo's room.
@@ -244,10 +282,21 @@ impl Watcher for Screen {
             };
             self.spinner.suspend(print)?;
         }
+        self.save(report, &bench::svg(report))
+    }
+
+    fn study_case_done(&mut self, report: &StudyReport) -> anyhow::Result<()> {
+        self.spinner.suspend(|| study::print_last(report))?;
+        self.save(report, &bench::study_svg(report))
+    }
+}
+
+impl Screen {
+    fn save(&self, report: &impl serde::Serialize, plot: &str) -> anyhow::Result<()> {
         let mut json = serde_json::to_vec_pretty(report)?;
         json.push(b'\n');
         save(&self.output, &json)?;
-        save(&self.output.with_extension("svg"), bench::svg(report).as_bytes())
+        save(&self.output.with_extension("svg"), plot.as_bytes())
     }
 }
 
