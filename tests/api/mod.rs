@@ -19,6 +19,7 @@ mod jobs;
 mod layers;
 mod lightmap;
 mod load;
+mod moves;
 mod openapi;
 mod process;
 mod render;

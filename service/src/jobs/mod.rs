@@ -25,7 +25,7 @@ use tokio::sync::watch;
 use crate::api::types;
 use crate::compute::build_pool;
 use crate::config::Config;
-use crate::engine::Focus;
+use crate::engine::{Budget, Focus};
 use crate::events::EventLog;
 use crate::state::App;
 use crate::store::lighting::Sequence;
@@ -47,6 +47,13 @@ pub(crate) struct JobSpec {
     pub(crate) dragged: Vec<String>,
     /// Light everything up to this edit.
     pub(crate) sequence: Sequence,
+}
+
+impl JobSpec {
+    /// What the engine is told; time is the observer's business.
+    fn engine_budget(&self) -> Budget {
+        Budget { samples_per_element: self.budget.samples_per_element, target_rmse: self.budget.target_rmse }
+    }
 }
 
 /// Asks a running job to stop.

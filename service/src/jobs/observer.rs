@@ -133,6 +133,8 @@ struct State {
     floor: Option<f32>,
     /// The last map was not published, because there is a better one.
     held_back: Option<Progress>,
+    /// Time ended it.
+    cut: bool,
     clock: PhaseClock,
     saved: Option<Instant>,
 }
@@ -171,6 +173,7 @@ impl<'a> JobObserver<'a> {
         state.held_back = None;
         state.floor = floor;
         state.pace = Pace::default();
+        state.cut = false;
     }
 
     /// The last complete map since [`JobObserver::begin`], and its progress where it was held back.
@@ -194,6 +197,11 @@ impl<'a> JobObserver<'a> {
         const GRACE: f64 = 1.1;
         self.complete.load(Ordering::Relaxed)
             && self.budget.max_seconds.is_some_and(|max| self.elapsed().as_secs_f64() > max * GRACE)
+    }
+
+    /// Whether time ended what is under way before it was as accurate as was asked for.
+    pub(crate) fn was_cut(&self) -> bool {
+        self.lock().cut || self.is_overdue() || self.is_superseded()
     }
 
     /// There is something to show, and the next step of the drag waits.
@@ -254,7 +262,12 @@ impl Observer for JobObserver<'_> {
         self.progress(so_far);
         match self.budget.max_seconds {
             None => proposed,
-            Some(max) => self.lock().pace.plan(self.elapsed().as_secs_f64(), max, proposed),
+            Some(max) => {
+                let mut state = self.lock();
+                let samples = state.pace.plan(self.elapsed().as_secs_f64(), max, proposed);
+                state.cut |= samples == 0;
+                samples
+            }
         }
     }
 

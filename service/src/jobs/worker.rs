@@ -10,8 +10,8 @@ use super::queue::{JobNumber, Outcome};
 use super::{JobSpec, Stop};
 use crate::compute::catching;
 use crate::engine::{
-    Budget, Canceled, Edit, LightMap, Pass, Progress, Transition, Update, World, carry_over, have_same_slots,
-    lengthened, with_layers_of,
+    Canceled, Edit, LightMap, Pass, Progress, Transition, Update, World, carry_over, have_same_slots, lengthened,
+    with_layers_of,
 };
 use crate::state::App;
 use crate::store::lighting::{Sequence, Unlit, Work};
@@ -84,14 +84,12 @@ fn light(app: &Arc<App>, run: &Run) -> Outcome {
         observer.shown(published.version);
         app.tell_edited(scene, Some(*job), &published);
     }
-    let budget = Budget { samples_per_element: spec.budget.samples_per_element, target_rmse: spec.budget.target_rmse };
-    let engine = &app.config.engine;
     let (work, shown, floor) = scene.work(app.config.limits.unlit_edits);
     match work {
         Work::Bake(world) => {
             observer.begin(shown, floor);
             observer.slots = world.slots();
-            let result = engine.bake(&world, &budget, spec.seed, &observer);
+            let result = app.config.engine.bake(&world, &spec.engine_budget(), spec.seed, &observer);
             settle_end(&observer, scene, shown, result).map_or_else(|outcome| outcome, |_| Outcome::Succeeded)
         }
         Work::Update(mut map, due) => {
@@ -100,37 +98,7 @@ fn light(app: &Arc<App>, run: &Run) -> Outcome {
             for (i, step) in steps.into_iter().enumerate() {
                 observer.begin(step.sequence, floor.filter(|_| i == last));
                 observer.slots = step.slots;
-                let Some(transition) = &step.transition else {
-                    map = step.carries.iter().fold(map, |map, transition| carry_over(transition, &map));
-                    scene.set_lit(step.sequence, map.clone());
-                    continue;
-                };
-                scene.earlier.remember(&transition.before, &map);
-                if let Some(known) = scene.earlier.recall(&transition.after) {
-                    let known = lengthened(&known, step.slots);
-                    map = if step.relights() { with_layers_of(known, &map, &transition.after.scene) } else { known };
-                    restore(&observer, scene, step.sequence, &transition.after, &map);
-                    continue;
-                }
-                scene.drag.drop_stale(&transition.after);
-                observer.drags = i == last && !dragged_by(&step.edits).is_empty();
-                if observer.drags {
-                    first_frame(&observer, scene, transition, &map, spec.seed);
-                }
-                let work = Update {
-                    transition,
-                    map: &map,
-                    budget: &budget,
-                    focus: spec.focus.as_ref().filter(|_| i == last),
-                    seed: spec.seed.wrapping_add(i as u64),
-                };
-                let result = engine.update(&work, &observer).map(|map| lengthened(&map, step.slots));
-                if result.is_err() && observer.ended_as_estimate() {
-                    // The estimate stays in sight, but the next step starts from the light that is right.
-                    step.as_unlit().into_iter().for_each(|unlit| scene.fold_unlit(unlit));
-                    return Outcome::Succeeded;
-                }
-                match settle_end(&observer, scene, step.sequence, result) {
+                match light_step(run, &mut observer, map, &step, (i, i == last)) {
                     Ok(lit) => map = lit,
                     Err(outcome) => return outcome,
                 }
@@ -138,6 +106,52 @@ fn light(app: &Arc<App>, run: &Run) -> Outcome {
             Outcome::Succeeded
         }
     }
+}
+
+/// From `map` to that after a step, the `index`-th of its job; how the job ends where there is none.
+fn light_step(
+    run: &Run,
+    observer: &mut JobObserver<'_>,
+    map: Arc<LightMap>,
+    step: &Step,
+    (index, is_last): (usize, bool),
+) -> Result<Arc<LightMap>, Outcome> {
+    let Run { scene, spec, .. } = run;
+    let Some(transition) = &step.transition else {
+        let map = step.carries.iter().fold(map, |map, transition| carry_over(transition, &map));
+        scene.set_lit(step.sequence, map.clone());
+        return Ok(map);
+    };
+    scene.earlier.remember(&transition.before, &map);
+    let shortcut = scene.earlier.shortcut(&map, transition, &step.edits);
+    if let Some(known) = scene.earlier.recall(&transition.after) {
+        let known = lengthened(&known, step.slots);
+        let lit = if step.relights() { with_layers_of(known, &map, &transition.after.scene) } else { known };
+        restore(observer, scene, step.sequence, &transition.after, &lit);
+        scene.earlier.computed(&transition.before, &map, &step.edits, &lit, false);
+        return Ok(lit);
+    }
+    scene.drag.drop_stale(&transition.after);
+    observer.drags = is_last && !dragged_by(&step.edits).is_empty();
+    if observer.drags {
+        first_frame(observer, scene, transition, &map, spec.seed);
+    }
+    let (transition, map, edits) = match &shortcut {
+        Some(shortcut) => (&shortcut.transition, &shortcut.map, &shortcut.edits),
+        None => (transition, &map, &step.edits),
+    };
+    let budget = &spec.engine_budget();
+    let focus = spec.focus.as_ref().filter(|_| is_last);
+    let work = Update { transition, map, budget, focus, seed: spec.seed.wrapping_add(index as u64) };
+    let result = observer.app.config.engine.update(&work, &*observer).map(|map| lengthened(&map, step.slots));
+    if result.is_err() && observer.ended_as_estimate() {
+        // The estimate stays in sight, but the next step starts from the light that is right.
+        step.as_unlit().into_iter().for_each(|unlit| scene.fold_unlit(unlit));
+        return Err(Outcome::Succeeded);
+    }
+    let lit = settle_end(observer, scene, step.sequence, result)?;
+    scene.earlier.computed(&transition.before, map, edits, &lit, observer.was_cut());
+    Ok(lit)
 }
 
 /// Shows a dragged light at its new place as soon as may be, where the scene's transport has been sampled; else samples
