@@ -1,6 +1,7 @@
 //! `rebake bench`: speed against error, all methods in one process on the same tree, samplers and threads.
 
 mod cases;
+mod gallery;
 mod methods;
 mod plot;
 mod reference;
@@ -9,11 +10,12 @@ mod run;
 mod service;
 
 pub use cases::{Case, CaseKind, EditFile, PreparedCase};
+pub use gallery::PictureOptions;
 pub use methods::{Goal, Method, Timed, run_method};
 pub use plot::svg;
 pub use rebake_core::paper::Equation;
 pub use reference::{Measured, Reference};
-pub use report::{BaseReport, CaseReport, ReferenceReport, Report, RunReport};
+pub use report::{BaseReport, CaseReport, PictureReport, ReferenceReport, Report, RunReport};
 pub use run::{Options, Watcher, run};
 pub use service::run_service;
 

@@ -5,7 +5,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use indicatif::ProgressBar;
-use rebake::bench::{self, CaseReport, EditFile, Equation, Goal, Method, Options, Report, RunReport, Watcher};
+use rebake::bench::{
+    self, CaseReport, EditFile, Equation, Goal, Method, Options, PictureOptions, Report, RunReport, Watcher,
+};
+use rebake::sheet::Crop;
+use rebake_core::render::RenderOptions;
 use rebake_core::scene::{LoadLimits, Scene, load_glb};
 
 use super::demo;
@@ -30,7 +34,8 @@ report a plot of the same name is written, ending in .svg.
   rebake bench room.glb room.edits.json --cases sofa --mode indirect --budget-seconds 0.5,2,8 -o report.json
   rebake bench room.glb room.edits.json --samples 4,16,64,256 -o sweep.json
   rebake bench room.glb room.edits.json --methods paper --iterations 1,2,4,8 --samples 256 -o over-n.json
-  rebake bench room.glb room.edits.json --methods paper --path-length 0,1,2,3,4,5 --samples 256 -o over-m.json";
+  rebake bench room.glb room.edits.json --methods paper --path-length 0,1,2,3,4,5 --samples 256 -o over-m.json
+  rebake bench room.glb room.edits.json --mode indirect --budget-seconds 2 --seeds 1 --pictures figures -o report.json";
 
 /// Arguments of `rebake bench`.
 #[derive(Debug, clap::Args)]
@@ -100,6 +105,42 @@ pub(super) struct BenchArgs {
     /// Threads [default: one per core]
     #[arg(long, value_name = "N", env = "REBAKE_THREADS")]
     threads: Option<NonZeroUsize>,
+    #[command(flatten)]
+    pictures: PictureArgs,
+}
+
+/// What is drawn of every case.
+#[derive(Debug, clap::Args)]
+struct PictureArgs {
+    /// Folder for pictures of the runs of the first budget: before, every method, reference, FLIP, change, and a sheet
+    /// of them all per case
+    #[arg(long, value_name = "DIR")]
+    pictures: Option<PathBuf>,
+    /// Pictures: index or name of a camera of the scene [default: the first]
+    #[arg(long, requires = "pictures")]
+    camera: Option<String>,
+    /// Pictures: pixels across and down
+    #[arg(long, value_name = "WxH", default_value = "480x360", value_parser = super::render::size, requires = "pictures")]
+    picture_size: (u32, u32),
+    /// Pictures: samples per pixel
+    #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..),
+          requires = "pictures")]
+    picture_spp: u32,
+    /// Pictures: a part to magnify, pixels; may be repeated [default: where the light changes most]
+    #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", value_parser = super::compare::crop, requires = "pictures")]
+    crop: Vec<Crop>,
+}
+
+impl PictureArgs {
+    fn options(&self) -> Option<PictureOptions> {
+        let (width, height) = (self.picture_size.0 as usize, self.picture_size.1 as usize);
+        self.pictures.as_ref().map(|folder| PictureOptions {
+            folder: folder.clone(),
+            camera: self.camera.clone(),
+            render: RenderOptions { width, height, samples: self.picture_spp, seed: 0 },
+            crops: self.crop.clone(),
+        })
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -148,6 +189,7 @@ impl BenchArgs {
             base_samples: self.base_samples,
             measure_base: self.measure_base,
             filter: self.cases.clone(),
+            pictures: self.pictures.options(),
         }
     }
 
