@@ -200,7 +200,7 @@ export function work(jobs: Job[], rmse: number | null, cancel: (job: Job) => voi
     parent.replaceChildren(bar, ...text.map((line) => make('p', { class: 'quiet' }, line)), stop);
   } else {
     const how = last ? { failed: `failed: ${last.error ?? ''}`, canceled: 'was canceled' }[last.state as string] : null;
-    const text = how ? `The last job ${how}.` : rmse === null ? 'Nothing to do.' : `Up to date, stated error ${rmse.toPrecision(3)}.`;
+    const text = how ? `The last job ${how}.` : rmse === null ? 'Nothing to do.' : rmse === 0 ? 'Up to date.' : `Up to date, stated error ${rmse.toPrecision(3)}.`;
     parent.replaceChildren(make('p', { class: 'quiet' }, text));
   }
   const waiting = jobs.filter((job) => isOpen(job) && job !== running).reverse();

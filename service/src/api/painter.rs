@@ -6,7 +6,6 @@ use std::sync::Arc;
 
 use axum::body::{Body, Bytes};
 use futures_util::stream;
-use tokio::sync::OwnedSemaphorePermit;
 
 use super::problem::{ApiResult, Kind, Problem};
 use crate::pictures::{CancelOnDrop, DrawError, Drawn, PictureFormat, PictureSpec, Watch, draw};
@@ -21,8 +20,6 @@ pub(super) struct Painter {
     app: Arc<App>,
     published: Arc<Published>,
     before: Option<Arc<Published>>,
-    /// Shared with the task on the pool, which may outlive the request by a tile.
-    turn: Arc<OwnedSemaphorePermit>,
     watch: Watch,
     _guard: CancelOnDrop,
 }
@@ -36,15 +33,10 @@ pub(super) fn content_type(format: PictureFormat) -> &'static str {
 }
 
 impl Painter {
-    pub(super) fn new(
-        app: Arc<App>,
-        published: Arc<Published>,
-        before: Option<Arc<Published>>,
-        turn: OwnedSemaphorePermit,
-    ) -> Painter {
+    pub(super) fn new(app: Arc<App>, published: Arc<Published>, before: Option<Arc<Published>>) -> Painter {
         let watch = Watch::default();
         let guard = watch.guard();
-        Painter { app, published, before, turn: Arc::new(turn), watch, _guard: guard }
+        Painter { app, published, before, watch, _guard: guard }
     }
 
     /// What is drawn.
@@ -52,9 +44,11 @@ impl Painter {
         self.published.version
     }
 
-    pub(super) async fn draw(&mut self, spec: PictureSpec) -> ApiResult<Drawn> {
+    pub(super) async fn draw(&self, spec: PictureSpec) -> ApiResult<Drawn> {
         let (published, before) = (self.published.clone(), self.before.clone());
-        let (turn, watch) = (self.turn.clone(), self.watch.clone());
+        // Every pass waits for its own turn: who takes the first one in slowly keeps no other client waiting.
+        let turn = self.app.pictures.turns.clone().acquire_owned().await.map_err(Problem::internal)?;
+        let watch = self.watch.clone();
         let work = move || {
             let _turn = turn;
             let before = before.as_ref().map(|before| (&before.world, &*before.map));
@@ -71,7 +65,7 @@ impl Painter {
     pub(super) fn parts(self, spec: &PictureSpec) -> Body {
         let passes: VecDeque<PictureSpec> = spec.passes().into();
         let opening = stream::once(async { Ok(Bytes::from(format!("--{BOUNDARY}\r\n"))) });
-        let parts = stream::unfold((self, passes), |(mut painter, mut passes)| async {
+        let parts = stream::unfold((self, passes), |(painter, mut passes)| async {
             let pass = passes.pop_front()?;
             let end = if passes.is_empty() { "--" } else { "" };
             // Too late for a problem document: the body ends early, which is an error to whoever reads it.

@@ -101,8 +101,7 @@ pub(super) async fn get(
         (_, Some(_)) => return Err(invalid("since", "goes with view=change only")),
         (_, None) => None,
     };
-    let turn = app.pictures.turns.clone().acquire_owned().await.map_err(Problem::internal)?;
-    let mut painter = Painter::new(app, published, before, turn);
+    let painter = Painter::new(app, published, before);
     let about = [(VERSION.clone(), painter.version().to_string()), (header::CACHE_CONTROL, "no-store".to_owned())];
     if query.progressive == Some(true) {
         let kind = format!("multipart/x-mixed-replace; boundary={BOUNDARY}");

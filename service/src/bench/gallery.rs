@@ -325,31 +325,4 @@ fn choose_crops(change: &[f32], width: usize, wanted: &[Crop]) -> Result<Vec<Cro
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn parts_are_chosen_where_light_changes_and_lie_apart() {
-        let mut change = vec![0.0f32; 120 * 90];
-        for (x, y, value) in [(20, 20, 3.0), (22, 21, 3.0), (100, 70, -2.0), (60, 45, 1.0), (110, 5, 0.1)] {
-            change[y * 120 + x] = value;
-        }
-        let crops = choose_crops(&change, 120, &[]).unwrap();
-        assert_eq!(crops.len(), 3);
-        for (crop, (x, y)) in crops.iter().zip([(20, 20), (100, 70), (60, 45)]) {
-            assert!((crop.x..crop.x + 20).contains(&x) && (crop.y..crop.y + 15).contains(&y), "{crop:?}");
-        }
-        let wanted = Crop { x: 100, y: 0, width: 20, height: 90 };
-        assert_eq!(choose_crops(&change, 120, &[wanted]).unwrap(), [wanted]);
-        assert!(choose_crops(&change, 120, &[Crop { x: 101, ..wanted }]).is_err());
-        assert!(choose_crops(&[0.0; 120 * 90], 120, &[]).unwrap().is_empty());
-    }
-
-    #[test]
-    fn files_are_named_after_cases() {
-        assert_eq!(
-            [slug("+ Table lamp"), slug("- Sofa/2"), slug("dark sofa")],
-            ["plus-table-lamp", "minus-sofa-2", "dark-sofa"]
-        );
-    }
-}
+mod tests;
