@@ -68,6 +68,10 @@ function leave(): void {
   plot.clear();
   editor.clear();
   before.clear();
+  // Nothing of what is gone stays on the page.
+  for (const about of ['mesh', 'stream']) delete $('numbers').dataset[about];
+  stage.frameMs = 0;
+  $('cameras').replaceChildren();
   $('welcome').hidden = false;
   say('Ready. Drop a .glb to begin.');
   panels();
