@@ -20,6 +20,7 @@ pub mod pictures;
 mod restore;
 mod saving;
 pub mod server;
+pub mod sheet;
 mod state;
 mod store;
 pub mod viewer;

@@ -101,6 +101,17 @@ pub struct PictureSpec {
     pub scale: Option<f32>,
 }
 
+impl PictureSpec {
+    /// The same picture as it gets better: with 1, 4, 16 samples per pixel and so on, the last one as asked for. All
+    /// but the last cost a third of that together.
+    pub fn passes(&self) -> Vec<PictureSpec> {
+        let all = self.options.samples;
+        let before = std::iter::successors(Some(1u32), |samples| samples.checked_mul(4)).take_while(|n| *n < all);
+        let pass = |samples| PictureSpec { options: RenderOptions { samples, ..self.options }, ..*self };
+        before.chain([all]).map(pass).collect()
+    }
+}
+
 /// A drawn picture.
 #[derive(Clone, Debug)]
 pub struct Drawn {

@@ -119,6 +119,33 @@ async fn a_change_is_shown_against_the_version_before_the_edit() {
 }
 
 #[tokio::test]
+async fn a_progressive_picture_gets_better_and_ends_as_the_one_that_is_waited_for() {
+    let server = Server::start().await;
+    let scene = server.baked_room("?samples_per_element=4").await;
+    let id = scene["id"].as_str().unwrap();
+    let client = &server.client;
+    for (spp, expected) in [("16", vec!["1", "4", "16"]), ("6", vec!["1", "4", "6"]), ("1", vec!["1"])] {
+        let size = [("width", "96".to_owned()), ("height", "64".to_owned()), ("spp", spp.to_owned())];
+        let whole = client.render(id, &size).await.unwrap().bytes().await.unwrap();
+        let mut parts = client.render_progressively(id, &size).await.unwrap();
+        let head = parts.response().headers();
+        assert!(head["content-type"].to_str().unwrap().starts_with("multipart/x-mixed-replace; boundary="));
+        assert_eq!(head["x-rebake-version"].to_str().unwrap(), scene["version"].to_string());
+        let mut found = Vec::new();
+        while let Some(part) = parts.next().await.unwrap() {
+            assert_eq!(part.header("content-type"), Some("image/png"));
+            assert!(part.header("x-rebake-exposure").is_some());
+            found.push(part);
+        }
+        let samples: Vec<&str> = found.iter().map(|part| part.header("x-rebake-samples").unwrap()).collect();
+        assert_eq!(samples, expected);
+        assert!(found.last().unwrap().bytes == whole, "the last of {spp} samples");
+        assert!(found.len() == 1 || found[0].bytes != whole);
+    }
+    server.stop().await;
+}
+
+#[tokio::test]
 async fn what_is_wrong_is_named() {
     let server = Server::start().await;
     let scene = server.room("?bake=false").await;
@@ -170,6 +197,9 @@ async fn a_client_that_leaves_takes_its_picture_with_it() {
     for left in futures_util::future::join_all(leaving).await {
         assert!(left.unwrap_err().is_timeout());
     }
+    // Nor does one that has seen the first of many.
+    let progressive = server.request(Method::GET, &format!("{large}&progressive=true")).send().await.unwrap();
+    drop(progressive);
     let small = server.request(Method::GET, &format!("{path}?width=8&height=8")).timeout(PATIENCE);
     assert_eq!(Answer::of(small.send().await.unwrap()).await.status, 200);
     server.stop().await;

@@ -29,32 +29,43 @@ def parse():
     return parser.parse_args()
 
 
-def outside(args):
-    """Makes the environment, renders with rebake, and goes on inside the environment."""
-    python = args.venv / "bin/python"
+def prepare(folder):
+    """The Python of a virtual environment that has Mitsuba, and the process environment it needs."""
+    python = folder / "bin/python"
     if not python.exists():
-        venv.create(args.venv, with_pip=True)
+        venv.create(folder, with_pip=True)
     if subprocess.run([python, "-c", "import mitsuba, numpy"], capture_output=True).returncode != 0:
         subprocess.run([python, "-m", "pip", "install", "--quiet", "mitsuba", "numpy"], check=True)
-    command = [args.binary] if args.binary else [
-        "cargo", "run", "--release", "--quiet", "--manifest-path", str(ROOT / "core/Cargo.toml"),
-        "--example", "path_points", "--"]
-    subprocess.run([*command, str(args.work), str(args.paths)], check=True)
     environment = dict(os.environ)
     libraries = sorted(glob.glob("/usr/lib/*/libLLVM-19.so*") + glob.glob("/usr/lib/llvm-19/lib/libLLVM*.so*"))
     if libraries:
         environment.setdefault("DRJIT_LIBLLVM_PATH", libraries[0])
+    return python, environment
+
+
+def outside(args):
+    """Makes the environment, renders with rebake, and goes on inside the environment."""
+    python, environment = prepare(args.venv)
+    command = [args.binary] if args.binary else [
+        "cargo", "run", "--release", "--quiet", "--manifest-path", str(ROOT / "core/Cargo.toml"),
+        "--example", "path_points", "--"]
+    subprocess.run([*command, str(args.work), str(args.paths)], check=True)
     again = [python, __file__, "--inside", "--paths", str(args.paths), "--work", str(args.work)]
     return subprocess.run(again, env=environment).returncode
 
 
-def read_glb(path):
-    """Objects of a binary glTF as written by rebake: positions in world space, triangles, albedo, emission."""
-    import numpy as np
+def read_document(path):
+    """A binary glTF's JSON and its binary chunk."""
     data = path.read_bytes()
     length = struct.unpack_from("<I", data, 12)[0]
-    document = json.loads(data[20:20 + length])
-    binary = data[20 + length + 8:]
+    return json.loads(data[20:20 + length]), data[20 + length + 8:]
+
+
+def read_glb(path):
+    """Objects of a binary glTF without node hierarchy: positions in world space, triangles, albedo, emission, normals
+    (none where the file has none), whether both sides reflect. What blends neither blocks nor reflects: left out."""
+    import numpy as np
+    document, binary = read_document(path)
     kinds = {5123: np.uint16, 5125: np.uint32, 5126: np.float32}
     widths = {"SCALAR": 1, "VEC3": 3}
 
@@ -80,26 +91,40 @@ def read_glb(path):
             matrix[:3, 3] = node.get("translation", [0, 0, 0])
         for primitive in document["meshes"][node["mesh"]]["primitives"]:
             material = document["materials"][primitive["material"]]
+            if material.get("alphaMode") == "BLEND":
+                continue
             albedo = material.get("pbrMetallicRoughness", {}).get("baseColorFactor", [1, 1, 1, 1])[:3]
             strength = material.get("extensions", {}).get("KHR_materials_emissive_strength", {})
             emission = np.array(material.get("emissiveFactor", [0, 0, 0])) * strength.get("emissiveStrength", 1.0)
             positions = accessor(primitive["attributes"]["POSITION"]) @ matrix[:3, :3].T + matrix[:3, 3]
-            yield positions.astype(np.float32), accessor(primitive["indices"]).reshape(-1, 3), albedo, emission
+            normals = None
+            if "NORMAL" in primitive["attributes"]:
+                normals = accessor(primitive["attributes"]["NORMAL"]) @ np.linalg.inv(matrix[:3, :3])
+                normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
+            triangles = accessor(primitive["indices"]).reshape(-1, 3)
+            double_sided = material.get("doubleSided", False)
+            yield positions.astype(np.float32), triangles, albedo, emission, normals, double_sided
 
 
-def load_scene(path):
+def load_scene(path, smooth=False, **more):
+    """The scene; with the file's normals if `smooth`; `more` goes into the scene's description."""
     import mitsuba as mi
-    scene = {"type": "scene"}
-    for index, (positions, triangles, albedo, emission) in enumerate(read_glb(path)):
+    scene = {"type": "scene", **more}
+    for index, (positions, triangles, albedo, emission, normals, double_sided) in enumerate(read_glb(path)):
         properties = mi.Properties()
         reflectance = {"type": "rgb", "value": [float(x) for x in albedo]}
         # One-sided: the plain diffuse BSDF is black from behind.
-        properties["bsdf"] = mi.load_dict({"type": "diffuse", "reflectance": reflectance})
+        diffuse = {"type": "diffuse", "reflectance": reflectance}
+        properties["bsdf"] = mi.load_dict({"type": "twosided", "material": diffuse} if double_sided else diffuse)
         if max(emission) > 0:
             radiance = {"type": "rgb", "value": [float(x) for x in emission]}
             properties["emitter"] = mi.load_dict({"type": "area", "radiance": radiance})
-        mesh = mi.Mesh(f"mesh{index}", len(positions), len(triangles), props=properties)
+        smoothed = smooth and normals is not None
+        mesh = mi.Mesh(
+            f"mesh{index}", len(positions), len(triangles), props=properties, has_vertex_normals=smoothed)
         parameters = mi.traverse(mesh)
+        if smoothed:
+            parameters["vertex_normals"] = normals.ravel()
         parameters["vertex_positions"] = positions.ravel()
         parameters["faces"] = triangles.astype("uint32").ravel()
         parameters.update()

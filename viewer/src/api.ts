@@ -1,5 +1,6 @@
 // The HTTP API. Every refusal becomes an Error whose message a person can act on.
 
+import { parts } from './parts';
 import type { Edit, Job, Scene, SceneSummary, View } from './types';
 
 /** The service said no. */
@@ -50,8 +51,8 @@ export const api = {
     (await call(`${of(scene)}/lightmap/deltas?since=${since}&layer=${encodeURIComponent(layer)}`)).arrayBuffer(),
   deltas: (scene: string) => new URL(`${of(scene)}/lightmap/deltas`, document.baseURI).href,
   events: (scene: string) => new EventSource(`${of(scene)}/events`),
-  /** A picture from the page's own camera: the picture, and the ends of its colour scale. */
-  async picture(scene: string, view: string, camera: View, exposure: number, signal: AbortSignal) {
+  /** Pictures from the page's own camera, each with more samples per pixel than the one before. */
+  async *pictures(scene: string, view: string, camera: View, exposure: number, spp: number, signal: AbortSignal) {
     const query = new URLSearchParams({
       view,
       eye: camera.eye.join(','),
@@ -61,8 +62,12 @@ export const api = {
       width: String(Math.min(camera.width, 1280)),
       height: String(Math.max(1, Math.round((camera.height * Math.min(camera.width, 1280)) / camera.width))),
       exposure: String(exposure),
+      spp: String(spp),
+      progressive: 'true',
     });
     const response = await call(`${of(scene)}/render?${query}`, { signal });
-    return response.blob();
+    for await (const { headers, bytes } of parts(response.body!)) {
+      yield { blob: new Blob([bytes], { type: 'image/png' }), samples: headers.get('x-rebake-samples') };
+    }
   },
 };

@@ -1,5 +1,6 @@
 // Wires it all together: one scene at a time, followed live.
 
+import { Matrix4 } from 'three';
 import { api } from './api';
 import { Editor } from './editor';
 import { onDrop, onFile } from './files';
@@ -9,7 +10,7 @@ import { $, details, list, make, work } from './panels';
 import { Plot } from './plot';
 import { Relighting } from './relighting';
 import { Stage, type Picked } from './stage';
-import type { Job, Point, Rgb, Scene } from './types';
+import { isOpen, type Job, type Point, type Rgb, type Scene } from './types';
 import { Views } from './views';
 import type { FromWorker } from './worker';
 
@@ -20,6 +21,7 @@ const worker = new Worker(new URL('./worker.ts', import.meta.url), { type: 'modu
 const editor = new Editor(() => scene!, () => stage.view(), {
   before: () => {
     map.remember();
+    stage.remember();
     before = new Set(scene?.objects.map((o) => o.name));
   },
   accepted: (job, label) => {
@@ -66,6 +68,10 @@ function leave(): void {
   plot.clear();
   editor.clear();
   before.clear();
+  // Nothing of what is gone stays on the page.
+  for (const about of ['mesh', 'stream']) delete $('numbers').dataset[about];
+  stage.frameMs = 0;
+  $('cameras').replaceChildren();
   $('welcome').hidden = false;
   say('Ready. Drop a .glb to begin.');
   panels();
@@ -145,9 +151,9 @@ function listen(id: string): void {
 function told(job: Job): void {
   const at = jobs.findIndex((j) => j.id === job.id);
   // An answer to a request may come after an event that is newer than it.
-  const rank = { queued: 0, running: 1, succeeded: 2, failed: 2, canceled: 2 };
+  const rank = { queued: 0, paused: 0, running: 1, succeeded: 2, failed: 2, canceled: 2 };
   if (at < 0) jobs.unshift(job);
-  else if (rank[job.state] >= rank[jobs[at]!.state]) jobs[at] = job;
+  else if (rank[job.state] >= rank[jobs[at]!.state] || (job.state === 'paused' && rank[jobs[at]!.state] < 2)) jobs[at] = job;
   const { estimated_rmse, elapsed_ms } = job.progress;
   if (estimated_rmse !== null) plot.add(job.id, elapsed_ms / 1000, estimated_rmse);
   if (job.state === 'failed') banner(`The job failed: ${job.error}`);
@@ -160,7 +166,7 @@ function told(job: Job): void {
 
 /** Once the service's map has all that was relit, it counts and not what the page worked out. */
 function settle(): void {
-  const isOver = jobs.every((job) => job.state !== 'queued' && job.state !== 'running' && (job.progress.version ?? 0) <= version);
+  const isOver = jobs.every((job) => !isOpen(job) && (job.progress.version ?? 0) <= version);
   if (isOver && !dragged) relighting.rest();
 }
 
@@ -267,7 +273,8 @@ function relight(color: Rgb, intensity: number, done: boolean): void {
 
 stage.onPick = choose;
 stage.onCamera = () => scene && views.isPicture && views.refresh();
-stage.onMoved = (_, delta) => {
+stage.onMoved = (_, delta) => move(delta);
+function move(delta: Matrix4): void {
   const [o, l] = [object(), light()];
   if (o) void attempt(() => editor.move(o, delta));
   else if (l?.position) {
@@ -275,7 +282,7 @@ stage.onMoved = (_, delta) => {
     const [x, y, z] = l.position;
     void attempt(() => editor.moveLight(l, [x + e[12]!, y + e[13]!, z + e[14]!] as Point));
   }
-};
+}
 
 async function upload(file: File): Promise<void> {
   say(`Uploading ${file.name}…`);
@@ -312,6 +319,7 @@ function panels(): void {
     remove,
     relight,
     frame: () => stage.frameSelected(),
+    move: (by) => move(new Matrix4().makeTranslation(...by)),
     paint: (albedo, done) => {
       const o = object();
       if (!o) return;
@@ -329,8 +337,8 @@ function panelsOfWork(): void {
 
 function keys(event: KeyboardEvent): void {
   const target = event.target;
-  // Lists of choices take letters and digits themselves; sliders and boxes do not.
-  if (target instanceof HTMLSelectElement) return;
+  // Lists of choices and numbers take letters and digits themselves; sliders and boxes do not.
+  if (target instanceof HTMLSelectElement || (target instanceof HTMLInputElement && target.type === 'number')) return;
   const control = event.ctrlKey || event.metaKey;
   const choices = [...$<HTMLSelectElement>('view').options].map((o) => o.value);
   const key = event.key.toLowerCase();

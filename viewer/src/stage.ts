@@ -1,7 +1,7 @@
 // The scene in 3D: meshes that show the light map, markers for lights, camera, picking, gizmo.
 
 import {
-  AgXToneMapping, Box3, BufferGeometry, Color, Group, Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial,
+  AgXToneMapping, Box3, BufferAttribute, BufferGeometry, Color, Group, Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial,
   Object3D, PerspectiveCamera, Raycaster, Scene as ThreeScene, ShaderMaterial, SphereGeometry, Vector2, Vector3,
   WebGLRenderer,
 } from 'three';
@@ -35,6 +35,8 @@ export class Stage {
   private readonly gizmo: TransformControls;
   private readonly pivot = new Object3D();
   private readonly objects = new Map<string, Group>();
+  /** What stood where before the last edit, with its light of then; null where that is what stands there now. */
+  private past: Group[] | null = null;
   private readonly markers = new Map<string, Mesh>();
   private selected: Picked | null = null;
   private dirty = true;
@@ -81,10 +83,18 @@ export class Stage {
     this.invalidate();
   }
 
+  /** An edit is about to change the scene: what is there now is what the split view shows on its left. */
+  remember(): void {
+    this.dispose(this.past ?? []);
+    this.past = null;
+  }
+
   /** Shows nothing. */
   clear(): void {
     this.select(null);
-    this.clearObjects();
+    this.remember();
+    this.dispose(this.objects.values());
+    this.objects.clear();
     this.mark([], []);
     this.invalidate();
   }
@@ -94,7 +104,9 @@ export class Stage {
     const gltf = await new GLTFLoader().parseAsync(file, '');
     map.grow(scene.elements);
     map.release();
-    this.clearObjects();
+    if (this.past || this.objects.size === 0) this.dispose(this.objects.values());
+    else this.past = [...this.objects.values()].map(asItWas);
+    this.objects.clear();
     for (const node of [...gltf.scene.children]) {
       // The loader changes names that its animations could not address.
       const name: string = node.userData['name'] ?? node.name;
@@ -238,15 +250,14 @@ export class Stage {
     this.onCamera();
   }
 
-  private clearObjects(): void {
-    for (const group of this.objects.values()) {
+  private dispose(groups: Iterable<Group>): void {
+    for (const group of groups) {
       this.scene.remove(group);
       for (const child of group.children) {
         (child as Mesh).geometry.dispose();
         ((child as Mesh).material as ShaderMaterial).dispose();
       }
     }
-    this.objects.clear();
   }
 
   private mark(lights: Light[], objects: SceneObject[]): void {
@@ -315,6 +326,13 @@ export class Stage {
     this.invalidate();
   }
 
+  /** Has what stood there before the edit in the picture, or what stands there now. */
+  private showPast(is: boolean): void {
+    if (!this.past) return;
+    for (const group of this.past) group.visible = is;
+    for (const group of this.objects.values()) group.visible = !is;
+  }
+
   private draw(): void {
     this.dirty = false;
     const { x: width, y: height } = this.renderer.getSize(new Vector2());
@@ -324,6 +342,7 @@ export class Stage {
       this.renderer.setScissorTest(true);
       for (const [before, left] of [[1, 0], [0, width / 2]] as const) {
         shared.before.value = before;
+        this.showPast(before === 1);
         this.renderer.setScissor(left, 0, width / 2, height);
         this.renderer.render(this.scene, this.camera);
       }
@@ -333,4 +352,19 @@ export class Stage {
       this.renderer.render(this.scene, this.camera);
     }
   }
+}
+
+/** An object of before the edit: with the light of then as its own, out of the picture until it is asked for. */
+function asItWas(group: Group): Group {
+  group.visible = false;
+  group.matrix.identity();
+  group.matrixWorldNeedsUpdate = true;
+  for (const child of group.children) {
+    const { geometry, material } = child as Mesh<BufferGeometry, ShaderMaterial>;
+    const light = new BufferAttribute(geometry.getAttribute('base').array.slice(), 3);
+    geometry.setAttribute('light', light);
+    geometry.setAttribute('base', light);
+    material.uniforms['selected']!.value = 0;
+  }
+  return group;
 }

@@ -69,18 +69,24 @@ export interface Job {
   id: string;
   scene: string;
   kind: 'bake' | 'edit';
-  state: 'queued' | 'running' | 'succeeded' | 'failed' | 'canceled';
+  state: 'queued' | 'running' | 'paused' | 'succeeded' | 'failed' | 'canceled';
   cancel_requested: boolean;
+  /** The job that does this one's work together with its own. */
+  merged_into: string | null;
   progress: {
     fraction: number;
     pass: string | null;
     samples_per_element: number;
     elapsed_ms: number;
+    remaining_ms: number | null;
     estimated_rmse: number | null;
     version: number | null;
   };
   error: string | null;
 }
+
+/** Whether a job may still change something. */
+export const isOpen = (job: Job) => job.state === 'queued' || job.state === 'running' || job.state === 'paused';
 
 /** One edit, as `POST /edits` takes it. */
 export type Edit =

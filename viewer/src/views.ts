@@ -106,13 +106,17 @@ export class Views {
     this.picture?.abort();
     const mine = (this.picture = new AbortController());
     try {
-      const kind = this.current === 'error' ? 'error' : 'full';
-      const blob = await api.picture(this.scene()!.id, kind, this.stage.view(), this.exposure, mine.signal);
-      if (this.picture !== mine) return;
-      const image = $<HTMLImageElement>('picture');
-      URL.revokeObjectURL(image.src);
-      image.src = URL.createObjectURL(blob);
-      image.hidden = false;
+      // A stated error has no noise; light has, and gets better while one looks.
+      const [kind, spp] = this.current === 'error' ? ['error', 4] as const : ['full', 16] as const;
+      const pictures = api.pictures(this.scene()!.id, kind, this.stage.view(), this.exposure, spp, mine.signal);
+      for await (const { blob, samples } of pictures) {
+        if (this.picture !== mine) return;
+        const image = $<HTMLImageElement>('picture');
+        URL.revokeObjectURL(image.src);
+        image.src = URL.createObjectURL(blob);
+        image.dataset['samples'] = samples ?? '';
+        image.hidden = false;
+      }
     } catch (error) {
       if (!mine.signal.aborted) throw error;
     }

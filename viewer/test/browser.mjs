@@ -7,21 +7,14 @@
 // Where standard input is connected, "restart" on standard output asks for a restart of the service, and a line back
 // says that it is done.
 
-import { mkdir, readFile, rm, mkdtemp } from 'node:fs/promises';
-import { tmpdir } from 'node:os';
+import { mkdir } from 'node:fs/promises';
 import { join } from 'node:path';
 import { createInterface } from 'node:readline';
 import { inflateSync } from 'node:zlib';
-import { chromium } from 'playwright-core';
+import { launch } from './launch.mjs';
 
 const [base, room, objectName, shots] = process.argv.slice(2);
-const FLAGS = [
-  '--headless', '--no-sandbox', '--disable-quic', '--no-first-run', '--disable-background-networking',
-  '--disable-component-update', '--disable-sync', '--use-gl=angle', '--use-angle=swiftshader',
-  '--enable-unsafe-swiftshader',
-];
 const PATIENCE = 60_000;
-const KINDS = { html: 'text/html', js: 'text/javascript', css: 'text/css' };
 
 function check(is, text) {
   if (!is) throw new Error(text);
@@ -68,28 +61,12 @@ function patch(picture, [u, v], half = 4) {
 }
 
 await mkdir(shots, { recursive: true });
-const profile = await mkdtemp(join(tmpdir(), 'rebake-browser-'));
-const context = await chromium.launchPersistentContext(profile, {
-  executablePath: process.env.CHROMIUM,
-  args: FLAGS,
-  viewport: { width: 1280, height: 720 },
-});
+const { page, close } = await launch(base, { width: 1280, height: 720 });
 const lines = createInterface({ input: process.stdin })[Symbol.asyncIterator]();
 try {
-  const page = await context.newPage();
   page.setDefaultTimeout(PATIENCE);
   const errors = [];
   page.on('pageerror', (error) => errors.push(String(error)));
-  if (process.env.PAGE_DIR) {
-    await page.route(
-      (url) => url.href.startsWith(base) && !url.pathname.startsWith('/v1'),
-      async (route) => {
-        const name = new URL(route.request().url()).pathname.slice(1) || 'index.html';
-        const body = await readFile(join(process.env.PAGE_DIR, name));
-        await route.fulfill({ body, contentType: KINDS[name.split('.').at(-1)] });
-      },
-    );
-  }
   const state = () => page.evaluate(() => window.rebake.state());
   const shot = (name) => page.screenshot({ path: join(shots, `${name}.png`) });
   const canvas = async () => decodePng(await page.locator('#stage').screenshot());
@@ -165,13 +142,24 @@ try {
   await page.selectOption('#view', 'error');
   await page.locator('#picture').waitFor({ state: 'visible' });
   await shot('6-error');
+  // The service's own picture: there at once, and better after that.
+  await page.selectOption('#view', 'picture');
+  await page.waitForFunction(() => document.getElementById('picture').dataset.samples === '16');
+  await shot('6b-picture');
+  check(true, 'a picture gets better while one looks');
   await page.selectOption('#view', 'indirect');
   await page.locator('#picture').waitFor({ state: 'hidden' });
   await shot('7-indirect');
   await page.selectOption('#view', 'full');
   await page.keyboard.press('Escape');
+  const whole = await canvas();
   await page.locator('#split').check();
+  const left = await canvas();
   await shot('8-split');
+  // What stood there is on the left, with its light of then; the right is as it was without the split.
+  const inside = [0.48, 0.5];
+  check(Math.abs(patch(left, inside) - patch(seen, inside)) < 6 && Math.abs(patch(left, inside) - patch(whole, inside)) > 20, 'the split view shows the removed object on its left');
+  check(Math.abs(patch(left, [0.75, 0.5]) - patch(whole, [0.75, 0.5])) < 3, 'and what is there now on its right');
   await page.locator('#split').uncheck();
 
   // Undo brings the object back, with its light.
@@ -215,6 +203,19 @@ try {
   await page.locator('#undo').click();
   await settled();
   check(true, 'a move is undone and redone');
+
+  // Without a mouse: the object's place as numbers, and the focus stays where it was.
+  const field = page.getByLabel('Position z, metres');
+  await page.waitForFunction(([f, z]) => Math.abs(f.value - z) < 0.006, [await field.elementHandle(), middle[2]]);
+  await field.focus();
+  await field.fill(((bounds0.min[2] + bounds0.max[2]) / 2 + 0.5).toFixed(2));
+  await page.keyboard.press('Enter');
+  await page.waitForFunction(([n, z]) => Math.abs(window.rebake.state().scene.objects.find((o) => o.name === n).bounds.min[2] - z - 0.5) < 0.02, [objectName, bounds0.min[2]]);
+  await settled();
+  check(await field.evaluate((f) => f === document.activeElement), 'an object is moved by the keyboard, and the focus stays');
+  await page.locator('#undo').click();
+  await page.waitForFunction(([n, z]) => Math.abs(window.rebake.state().scene.objects.find((o) => o.name === n).bounds.min[2] - z) < 1e-4, [objectName, bounds0.min[2]]);
+  await settled();
 
   // Cancel, before anything else: the whole room as an asset in the room is work enough.
   await page.setInputFiles('#asset-file', room);
@@ -274,6 +275,23 @@ try {
   await page.waitForFunction((i) => window.rebake.state().scene.lights[0].intensity === i, light.intensity);
   await settled();
 
+  // Held and drawn over a whole row of answers, a slider stays in the hand.
+  const handle = await slider.boundingBox();
+  const across = (t) => [handle.x + handle.width * t, handle.y + handle.height / 2];
+  const start = (await state()).version;
+  await page.mouse.move(...across(0.25));
+  await page.mouse.down();
+  await page.mouse.move(...across(0.2));
+  await page.waitForFunction((v) => window.rebake.state().scene.version > v, start);
+  await settled();
+  await page.mouse.move(...across(0.1));
+  await page.mouse.up();
+  await page.waitForFunction((i) => window.rebake.state().scene.lights[0].intensity < 0.6 * i, light.intensity);
+  check(true, 'a slider can be held while the service answers');
+  await page.keyboard.press('Control+z');
+  await page.waitForFunction((i) => window.rebake.state().scene.lights[0].intensity === i, light.intensity);
+  await settled();
+
   // What the service refuses is said in words.
   await page.setInputFiles('#file', { name: 'no.glb', mimeType: 'model/gltf-binary', buffer: Buffer.from('nothing') });
   await page.locator('#banner').waitFor({ state: 'visible' });
@@ -295,12 +313,10 @@ try {
   check(errors.length === 0, `no error in the page ${errors.join('; ')}`);
   console.log('done');
 } catch (error) {
-  const [page] = context.pages().slice(-1);
-  await page?.screenshot({ path: join(shots, 'failed.png') }).catch(() => {});
+  await page.screenshot({ path: join(shots, 'failed.png') }).catch(() => {});
   console.log(`failed: ${error.stack}`);
   process.exitCode = 1;
 } finally {
-  await context.close();
-  await rm(profile, { recursive: true, force: true });
+  await close();
   process.exit();
 }

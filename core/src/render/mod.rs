@@ -18,7 +18,7 @@ pub use camera::{Viewpoint, ViewpointError};
 pub use palette::{Palette, nice_scale};
 pub use read::{Loaded, read_picture};
 pub use tone::{ToneMap, auto_exposure, srgb_from_linear};
-pub use values::{ValuePicture, change_since, render_values, stated_errors};
+pub use values::{ValuePicture, change_of, change_since, render_values, stated_errors, visible_slots};
 
 use glam::Vec3;
 use rayon::prelude::*;

@@ -38,8 +38,7 @@ impl<'a> Shading<'a> {
 
     /// Mean radiance of a pixel.
     pub(super) fn pixel(&self, rays: &Rays, x: usize, y: usize, options: &RenderOptions) -> Vec3 {
-        let pixel = (y * options.width + x) as u64;
-        let mut rng = Pcg32::new(subseed(options.seed, 0x91c), pixel);
+        let mut rng = pixel_random(options, x, y);
         // One sequence per dimension and light, each with its own shift: the samples of a pixel cover its square and
         // every light evenly.
         let within = R2::new(&mut rng);
@@ -47,8 +46,7 @@ impl<'a> Shading<'a> {
         let sequences: Vec<R2> = (0..lights.len().min(MAX_LIGHTS) + 1).map(|_| R2::new(&mut rng)).collect();
         let mut sum = Vec3::ZERO;
         for k in 0..options.samples {
-            let u = if options.samples == 1 { [0.5, 0.5] } else { within.get(k) };
-            sum += self.radiance(rays.through(x, y, u), k, &sequences, &mut rng);
+            sum += self.radiance(rays.through(x, y, place(options, &within, k)), k, &sequences, &mut rng);
         }
         sum / options.samples as f32
     }
@@ -110,6 +108,16 @@ impl<'a> Shading<'a> {
         let direction = cosine_hemisphere(surfel.normal, rng.next_2d());
         incoming_light(self.world, &field, origin, direction, rng, &mut 0)
     }
+}
+
+/// A pixel's random numbers. Camera rays take the first of them, so all pictures of the same options have the same.
+pub(super) fn pixel_random(options: &RenderOptions, x: usize, y: usize) -> Pcg32 {
+    Pcg32::new(subseed(options.seed, 0x91c), (y * options.width + x) as u64)
+}
+
+/// Where in its pixel sample `k` lies.
+pub(super) fn place(options: &RenderOptions, within: &R2, k: u32) -> [f32; 2] {
+    if options.samples == 1 { [0.5, 0.5] } else { within.get(k) }
 }
 
 /// The first surface that a camera sees along a ray: backs that reflect nothing are looked through. The ray keeps its

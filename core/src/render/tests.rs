@@ -288,3 +288,28 @@ fn pictures_are_read_back() {
     assert!(read_picture(b"nothing").is_err() && read_picture(&map[..40]).is_err());
     assert!(write_png(2, 2, &[0; 11]).is_err());
 }
+
+#[test]
+fn pictures_look_up_the_slots_that_are_said_to_be_visible_and_no_others() {
+    // A wall below the floor and beyond the picture's edges is out of sight.
+    let world = world(
+        vec![floor_at(0.0), Object::new("below", Mesh::quad(Vec3::NEG_Y, Vec3::Z, Vec3::X), Material::diffuse(ALBEDO))],
+        vec![],
+    );
+    let mut map = LightMap::black(world.slots());
+    map.indirect = (0..world.slots()).map(|slot| Vec3::splat(1.0 + slot as f32)).collect();
+    let options = options(12, 8, 4);
+    let visible = visible_slots(&world, &from_above(), &options, &Unobserved).unwrap();
+    assert!(!visible.is_empty() && visible.len() < world.slots() - 20 && visible.is_sorted(), "{}", visible.len());
+    let before = [shot(&world, &map, View::Indirect, &options), shot(&world, &map, View::LightMap, &options)];
+    for slot in (0..world.slots() as u32).filter(|slot| visible.binary_search(slot).is_err()) {
+        map.indirect[slot as usize] = Vec3::splat(1e9);
+    }
+    assert!(before == [shot(&world, &map, View::Indirect, &options), shot(&world, &map, View::LightMap, &options)]);
+    let values: Vec<f32> = map.indirect.iter().map(|v| v.x).collect();
+    let shown = render_values(&world, &values, &from_above(), &options, &Unobserved).unwrap();
+    assert!(shown.values.iter().all(|value| *value < 1e8), "a picture of numbers has the same rays");
+    // And none is named for nothing.
+    map.indirect[visible[visible.len() / 2] as usize] = Vec3::splat(1e9);
+    assert!(before[0] != shot(&world, &map, View::Indirect, &options));
+}

@@ -1,16 +1,18 @@
-//! Pictures of one number per element: change, stated error.
+//! Pictures of one number per element: change, stated error. And which elements a picture shows at all.
+
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::Vec3;
 use rayon::prelude::*;
 
 use super::camera::Rays;
 use super::palette::{Palette, nice_scale};
-use super::shade::{first_front, smooth_normal};
+use super::shade::{first_front, pixel_random, place, smooth_normal};
 use super::{RenderOptions, Viewpoint, tiles, write_png};
 use crate::export::ExportError;
 use crate::job::{Canceled, Observer};
 use crate::lightmap::LightMap;
-use crate::random::{Pcg32, R2, subseed};
+use crate::random::R2;
 use crate::transport::Surfel;
 use crate::world::World;
 
@@ -33,12 +35,24 @@ pub struct ValuePicture {
 /// # Panics
 /// Where a map has not one value per slot of its world.
 pub fn change_since(before: (&World, &LightMap), after: (&World, &LightMap)) -> Vec<f32> {
+    change_of(before, after, LightMap::total)
+}
+
+/// As [`change_since`], of what `value` takes from a map: indirect light alone, say.
+///
+/// # Panics
+/// Where a map has not one value per slot of its world.
+pub fn change_of(
+    before: (&World, &LightMap),
+    after: (&World, &LightMap),
+    value: impl Fn(&LightMap, usize) -> Vec3 + Sync,
+) -> Vec<f32> {
     let ((old_world, old), (world, new)) = (before, after);
     assert!(old.len() == old_world.slots() && new.len() == world.slots(), "a light map has one value per slot");
     let (old_owners, owners) = (&old_world.geometry.owners, &world.geometry.owners);
     let change = |slot: usize| match old_owners.get(slot) {
         // Keys are never used again: the same key is the same object.
-        Some(owner) if *owner == owners[slot] => (new.total(slot) - old.total(slot)).element_sum() / 3.0,
+        Some(owner) if *owner == owners[slot] => (value(new, slot) - value(old, slot)).element_sum() / 3.0,
         _ => 0.0,
     };
     (0..world.slots()).into_par_iter().map(change).collect()
@@ -76,12 +90,10 @@ pub fn render_values(
         Some((value, facing))
     };
     let pixel = |x: usize, y: usize| {
-        let mut rng = Pcg32::new(subseed(options.seed, 0x7a1), (y * options.width + x) as u64);
-        let within = R2::new(&mut rng);
+        let within = R2::new(&mut pixel_random(options, x, y));
         let (mut value, mut facing) = (0.0, 0.0);
         for k in 0..options.samples {
-            let u = if options.samples == 1 { [0.5, 0.5] } else { within.get(k) };
-            let (v, f) = sample(x, y, u).unwrap_or_default();
+            let (v, f) = sample(x, y, place(options, &within, k)).unwrap_or_default();
             value += v;
             facing += f;
         }
@@ -91,7 +103,41 @@ pub fn render_values(
     Ok(ValuePicture { width: options.width, height: options.height, values, facing })
 }
 
+/// Slots of the elements that pictures of these options look up where camera rays end, ascending.
+///
+/// # Errors
+/// [`Canceled`] where the observer says so; it is asked once per tile.
+pub fn visible_slots(
+    world: &World,
+    viewpoint: &Viewpoint,
+    options: &RenderOptions,
+    observer: &dyn Observer,
+) -> Result<Vec<u32>, Canceled> {
+    let rays = Rays::new(world, viewpoint, options.width, options.height);
+    let seen: Vec<AtomicBool> = std::iter::repeat_with(AtomicBool::default).take(world.slots()).collect();
+    tiles(options, observer, |x, y| {
+        let within = R2::new(&mut pixel_random(options, x, y));
+        for k in 0..options.samples {
+            let met = first_front(world, rays.through(x, y, place(options, &within, k)));
+            let surfel = met.and_then(|(ray, hit)| Surfel::new(world, &ray, &hit));
+            for slot in surfel.and_then(|surfel| surfel.elements).into_iter().flatten() {
+                seen[slot as usize].store(true, Ordering::Relaxed);
+            }
+        }
+    })?;
+    Ok((0u32..).zip(seen).filter(|(_, seen)| seen.load(Ordering::Relaxed)).map(|(slot, _)| slot).collect())
+}
+
 impl ValuePicture {
+    /// Colours as [`ValuePicture::png`] shows them, sRGB in 0..=1, without the bar.
+    pub fn colors(&self, scale: f32, palette: Palette) -> Vec<Vec3> {
+        let color = |(value, facing): (&f32, &f32)| {
+            let light = if *facing > 0.0 { 0.45 + 0.55 * facing } else { 0.1 };
+            palette.color(value / scale) * light
+        };
+        self.values.iter().zip(&self.facing).map(color).collect()
+    }
+
     /// A round number that few pixels pass: what [`ValuePicture::png`] takes as `scale` where nobody chose one.
     pub fn auto_scale(&self) -> f32 {
         nice_scale(&self.values)
@@ -103,12 +149,9 @@ impl ValuePicture {
     /// # Errors
     /// [`ExportError`] where the picture is empty or too large for the format.
     pub fn png(&self, scale: f32, palette: Palette) -> Result<Vec<u8>, ExportError> {
-        let mut bytes: Vec<u8> = Vec::with_capacity(3 * self.values.len());
-        for (value, facing) in self.values.iter().zip(&self.facing) {
-            let light = if *facing > 0.0 { 0.45 + 0.55 * facing } else { 0.1 };
-            let color = palette.color(value / scale) * light;
-            bytes.extend(color.to_array().map(|c| (c * 255.0 + 0.5) as u8));
-        }
+        let colors = self.colors(scale, palette);
+        let mut bytes: Vec<u8> =
+            colors.iter().flat_map(|color| color.to_array().map(|c| (c * 255.0 + 0.5) as u8)).collect();
         palette.draw_bar(&mut bytes, self.width, self.height, scale);
         write_png(self.width, self.height, &bytes)
     }

@@ -18,6 +18,7 @@ mod layers;
 mod lightmap;
 mod openapi;
 mod paging;
+mod painter;
 pub mod problem;
 mod render;
 mod scenes;

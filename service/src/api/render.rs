@@ -10,12 +10,12 @@ use utoipa::IntoParams;
 
 use super::elements::VERSION;
 use super::extract::{ApiPath, ApiQuery};
+use super::painter::{BOUNDARY, Painter, content_type};
 use super::problem::{ApiResult, Kind, Problem};
 use super::{Shared, find_scene};
 use crate::engine::World;
 use crate::pictures::{
-    DEFAULT_SAMPLES, DrawError, MAX_SAMPLES, MAX_SIDE, MAX_TOTAL_SAMPLES, PictureFormat, PictureSpec, PictureView,
-    ToneMap, Watch, draw,
+    DEFAULT_SAMPLES, MAX_SAMPLES, MAX_SIDE, MAX_TOTAL_SAMPLES, PictureFormat, PictureSpec, PictureView, ToneMap,
 };
 
 /// Headers that say how a picture was drawn.
@@ -67,6 +67,9 @@ pub(super) struct RenderQuery {
     tone: Option<ToneMap>,
     /// `change`, `error`: what the ends of the colour scale stand for. By the picture where absent.
     scale: Option<f32>,
+    /// Send a picture at once and better ones after it, with 1, 4, 16 samples per pixel and so on, as parts of a
+    /// `multipart/x-mixed-replace` body; `false` where absent. The last part is what this call answers otherwise.
+    progressive: Option<bool>,
 }
 
 /// A picture of the scene as it is lit now: direct light by ray tracing, indirect light from the light map.
@@ -79,7 +82,7 @@ pub(super) struct RenderQuery {
             ("X-Rebake-Exposure" = f32, description = "Stops of a PNG of light"),
             ("X-Rebake-Scale" = f32, description = "Ends of the colour scale of a PNG of change or error"),
         ),
-        content((Vec<u8> = "image/png"), (Vec<u8> = "image/x-exr"))))
+        content((Vec<u8> = "image/png"), (Vec<u8> = "image/x-exr"), (Vec<u8> = "multipart/x-mixed-replace"))))
 )]
 pub(super) async fn get(
     State(app): Shared,
@@ -98,26 +101,14 @@ pub(super) async fn get(
         (_, Some(_)) => return Err(invalid("since", "goes with view=change only")),
         (_, None) => None,
     };
-    let watch = Watch::default();
-    let _guard = watch.guard();
-    let turn = app.pictures.turns.clone().acquire_owned().await.map_err(Problem::internal)?;
-    let version = published.version;
-    let work = move || {
-        let _turn = turn;
-        let before = before.as_ref().map(|before| (&before.world, &*before.map));
-        draw((&published.world, &published.map), before, &spec, &watch)
-    };
-    let drawn = match app.compute.draw(work).await? {
-        Ok(drawn) => drawn,
-        Err(DrawError::Canceled) => return Err(Problem::new(Kind::ShuttingDown, "the picture was given up")),
-        Err(DrawError::Export(error)) => return Err(Problem::internal(error)),
-    };
-    let kind = match spec.format {
-        PictureFormat::Png => "image/png",
-        PictureFormat::Exr => "image/x-exr",
-    };
-    let about = [(VERSION.clone(), version.to_string()), (header::CACHE_CONTROL, "no-store".to_owned())];
-    let mut response = (about, [(header::CONTENT_TYPE, kind)], drawn.bytes).into_response();
+    let painter = Painter::new(app, published, before);
+    let about = [(VERSION.clone(), painter.version().to_string()), (header::CACHE_CONTROL, "no-store".to_owned())];
+    if query.progressive == Some(true) {
+        let kind = format!("multipart/x-mixed-replace; boundary={BOUNDARY}");
+        return Ok((about, [(header::CONTENT_TYPE, kind)], painter.parts(&spec)).into_response());
+    }
+    let drawn = painter.draw(spec).await?;
+    let mut response = (about, [(header::CONTENT_TYPE, content_type(spec.format))], drawn.bytes).into_response();
     for (name, number) in [(&EXPOSURE, drawn.exposure), (&SCALE, drawn.scale)] {
         if let Some(number) = number {
             let value = header::HeaderValue::from_str(&number.to_string()).map_err(Problem::internal)?;

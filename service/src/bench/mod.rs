@@ -4,6 +4,7 @@
 mod cases;
 mod drag;
 mod focus;
+mod gallery;
 mod methods;
 mod plot;
 mod reference;
@@ -14,11 +15,12 @@ mod session;
 mod study;
 
 pub use cases::{Case, CaseKind, EditFile, PreparedCase};
+pub use gallery::PictureOptions;
 pub use methods::{Goal, Method, Timed, run_method};
 pub use plot::{study_svg, svg};
 pub use rebake_core::paper::Equation;
 pub use reference::{Measured, Reference};
-pub use report::{BaseReport, CaseReport, ReferenceReport, Report, RunReport};
+pub use report::{BaseReport, CaseReport, PictureReport, ReferenceReport, Report, RunReport};
 pub use run::{Options, Watcher, run};
 pub use service::run_service;
 pub use study::{Curve, Point, Study, StudyCase, StudyReport, TimeToError, run_study};

@@ -43,6 +43,22 @@ pub struct CaseReport {
     pub no_update_rmse: Option<f64>,
     /// One entry per method and budget.
     pub runs: Vec<RunReport>,
+    /// Pictures that were drawn: before the edit, every method at the first budget, the reference.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub pictures: Vec<PictureReport>,
+}
+
+/// A picture, held against that of the reference.
+#[derive(Clone, Debug, Serialize)]
+pub struct PictureReport {
+    /// `before`, a method, or `reference`.
+    pub of: &'static str,
+    /// Its file in the folder of pictures.
+    pub file: String,
+    /// RMSE of its pixels, linear.
+    pub rmse: f64,
+    /// Mean FLIP.
+    pub flip: f64,
 }
 
 /// Path tracing of the scene after the edit.

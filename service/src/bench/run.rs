@@ -7,8 +7,12 @@ use anyhow::{Context, Result, ensure};
 use rebake_core::scene::Scene;
 use rebake_core::{Budget, LightMap, Unobserved, World, WorldOptions, bake};
 
+use super::gallery::{Shown, draw_case};
 use super::report::{BaseReport, CaseReport, ReferenceReport, Report, RunReport};
-use super::{Case, EditFile, Goal, Method, Mode, PreparedCase, Reference, StudyReport, Timed, run_method, run_service};
+use super::{
+    Case, EditFile, Goal, Method, Mode, PictureOptions, PreparedCase, Reference, StudyReport, Timed, run_method,
+    run_service,
+};
 
 /// What to run, and how long.
 #[derive(Clone, Debug)]
@@ -35,6 +39,8 @@ pub struct Options {
     pub measure_base: bool,
     /// Only cases of whose name this is a part.
     pub filter: Option<String>,
+    /// Pictures to draw of the runs of the first budget.
+    pub pictures: Option<PictureOptions>,
 }
 
 /// Is told how far a bench is.
@@ -103,9 +109,9 @@ fn run_case(case: &PreparedCase, options: &Options, watcher: &mut dyn Watcher) -
     watcher.step(&case.name, "reference");
     let reference = Reference::trace(&case.after, options.reference_elements, options.reference_samples, options.seed);
     let untouched = case.transition.carry_over(&base);
-    let mut runs = Vec::new();
+    let (mut runs, mut shown) = (Vec::new(), Vec::new());
     for &method in &options.methods {
-        for &goal in &options.goals {
+        for (k, &goal) in options.goals.iter().enumerate() {
             let timed: Vec<Timed> = (0..options.seeds)
                 .filter_map(|k| {
                     watcher.step(&case.name, &format!("{}, {}, run {}", method.name(), goal.describe(), k + 1));
@@ -120,9 +126,16 @@ fn run_case(case: &PreparedCase, options: &Options, watcher: &mut dyn Watcher) -
             if !timed.is_empty() {
                 runs.push(summarize(method, goal, &timed, &reference, mode));
             }
+            if let (0, Some(_), Some(first)) = (k, &options.pictures, timed.into_iter().next()) {
+                shown.push(Shown::of(method, first));
+            }
         }
     }
     add_gains(&mut runs);
+    let pictures = options.pictures.as_ref().map_or(Ok(Vec::new()), |pictures| {
+        watcher.step(&case.name, "pictures");
+        draw_case(case, &base, shown, (mode, options.reference_samples, options.seed), pictures)
+    })?;
     Ok(CaseReport {
         name: case.name.clone(),
         elements: case.after.element_count(),
@@ -131,6 +144,7 @@ fn run_case(case: &PreparedCase, options: &Options, watcher: &mut dyn Watcher) -
         base: BaseReport { method: "bake", samples_per_element: options.base_samples, rmse: base_rmse },
         no_update_rmse: (!only_service).then(|| reference.mean_square_error(&untouched, mode).root()),
         runs,
+        pictures,
     })
 }
 

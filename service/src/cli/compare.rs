@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use glam::Vec3;
+use rebake::sheet::{Cell, Crop, Panel, Sheet};
 use rebake_core::metrics::{PIXELS_PER_DEGREE, flip, rmse};
 use rebake_core::render::{
-    Loaded, Palette, Picture, ToneMap, auto_exposure, nice_scale, read_picture, srgb_from_linear, write_png,
+    Loaded, Palette, Picture, ToneMap, auto_exposure, nice_scale, read_picture, srgb_from_linear,
 };
 use serde_json::json;
 
@@ -47,16 +48,8 @@ pub(super) struct CompareArgs {
     json: bool,
 }
 
-/// A part of a picture.
-#[derive(Clone, Copy, Debug)]
-struct Crop {
-    x: usize,
-    y: usize,
-    width: usize,
-    height: usize,
-}
-
-fn crop(text: &str) -> Result<Crop, String> {
+/// `X,Y,WIDTH,HEIGHT`.
+pub(super) fn crop(text: &str) -> Result<Crop, String> {
     let numbers: Option<Vec<usize>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
     match numbers.as_deref() {
         Some(&[x, y, width @ 1..=4096, height @ 1..=4096]) => Ok(Crop { x, y, width, height }),
@@ -151,36 +144,27 @@ impl Shown {
 
     /// The panels side by side; below, row by row, the crops, each as wide as a panel.
     fn sheet(&self, crops: &[Crop]) -> anyhow::Result<Vec<u8>> {
-        const GAP: usize = 4;
-        let across = 4 * self.width + 3 * GAP;
-        let mut bytes = Vec::new();
-        for y in 0..self.height {
-            self.row(&mut bytes, GAP, |panel, x| panel[y * self.width + x]);
-        }
-        let mut rows = self.height;
+        let panels = self.panels.each_ref().map(|colors| Panel::from_srgb(colors, self.width));
+        let ends = format!("B - A, ends +-{}", self.scale);
+        let captions = ["A".to_owned(), "B".to_owned(), ends, format!("FLIP, mean {:.4}", self.mean_flip())];
+        let mut first: Vec<Panel> = panels.to_vec();
+        let mut rows = Vec::new();
         for crop in crops {
             let inside = crop.x + crop.width <= self.width && crop.y + crop.height <= self.height;
             anyhow::ensure!(inside, "--crop: {crop:?} is not within {} × {} pixels", self.width, self.height);
-            let height = (crop.height * self.width).div_ceil(crop.width);
-            bytes.resize(bytes.len() + 3 * across * GAP, 255);
-            for y in 0..height {
-                let from = crop.y + (y * crop.width / self.width).min(crop.height - 1);
-                self.row(&mut bytes, GAP, |panel, x| panel[from * self.width + crop.x + x * crop.width / self.width]);
-            }
-            rows += GAP + height;
+            first[..2].iter_mut().for_each(|panel| panel.frame(*crop, FRAME));
+            let part = |panel: &Panel| Cell { caption: String::new(), panel: Some(panel.magnified(*crop, self.width)) };
+            rows.push(panels.iter().map(part).collect());
         }
-        write_png(across, rows, &bytes).context("cannot make the picture")
-    }
-
-    fn row(&self, bytes: &mut Vec<u8>, gap: usize, pixel: impl Fn(&[Vec3], usize) -> Vec3) {
-        for (i, panel) in self.panels.iter().enumerate() {
-            bytes.resize(bytes.len() + if i > 0 { 3 * gap } else { 0 }, 255);
-            for x in 0..self.width {
-                bytes.extend(pixel(panel, x).to_array().map(|c| (c * 255.0 + 0.5) as u8));
-            }
-        }
+        let first = captions.into_iter().zip(first).map(|(caption, panel)| Cell { caption, panel: Some(panel) });
+        rows.insert(0, first.collect());
+        let sheet = Sheet { title: String::new(), rows };
+        sheet.draw().png().context("cannot make the picture")
     }
 }
+
+/// Edges of what is magnified.
+const FRAME: [u8; 3] = [230, 60, 50];
 
 #[cfg(test)]
 mod tests {
@@ -202,8 +186,8 @@ mod tests {
         let shown = Shown::new(&args, &picture(0.2), &picture(0.4));
         assert!((shown.scale - 0.2).abs() < 1e-6 && shown.mean_flip() > 0.1);
         let sheet = read_picture(&shown.sheet(&args.crop).unwrap()).unwrap().picture;
-        // Four times 20 and three gaps of 4; 10 rows, a gap, and 4 rows magnified four times.
-        assert_eq!((sheet.width, sheet.height), (92, 10 + 4 + 16));
+        // Four times 20 and gaps of 10; one row of 10 pixels and one of 4 magnified four times, the first under captions.
+        assert_eq!((sheet.width, sheet.height), (4 * 30 + 10, 10 + (25 + 10 + 10) + (16 + 10)));
         let outside = Crop { x: 18, y: 0, width: 5, height: 5 };
         assert!(shown.sheet(&[outside]).is_err());
     }

@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use anyhow::Context;
 use glam::DVec3;
+use rebake::client::Parts;
 use rebake::pictures::{DEFAULT_SAMPLES, PictureSpec, draw};
 use rebake_core::render::{RenderOptions, Viewpoint};
 use rebake_core::{Budget, Unobserved, World, WorldOptions};
@@ -20,6 +21,7 @@ const AFTER_HELP: &str = "\
 What ends in .glb is a file: it is baked here, without a service. Anything else is the id of a scene of the service. \
 The ending of the picture chooses the format: .png is tone-mapped, .exr holds linear values as computed.
   rebake render $ID -o now.png --size 1280x720 --spp 64
+  rebake render $ID -o large.png --size 1920x1080 --spp 64 --progressive
   rebake render $ID -o change.png --view change
   rebake render room.glb -o room.png --camera 0 --exposure 1.5";
 
@@ -37,6 +39,9 @@ pub(super) struct RenderArgs {
     look: Look,
     #[command(flatten)]
     server: ServerArgs,
+    /// Write the picture at once with one sample per pixel, and again with 4, 16 and so on up to --spp
+    #[arg(long)]
+    progressive: bool,
     /// A version to show the change against (view "change") [default: before the last edit]
     #[arg(long, value_name = "VERSION")]
     since: Option<u64>,
@@ -109,7 +114,8 @@ fn picture_file(text: &str) -> Result<PathBuf, String> {
     format_of(&path).map(|_| path).ok_or_else(|| "the file has to end in .png or .exr".to_owned())
 }
 
-fn size(text: &str) -> Result<(u32, u32), String> {
+/// `WIDTHxHEIGHT`.
+pub(super) fn size(text: &str) -> Result<(u32, u32), String> {
     let sides = text.split_once(['x', 'X', '×']).and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
     match sides {
         Some((width @ 1..=rebake::pictures::MAX_SIDE, height @ 1..=rebake::pictures::MAX_SIDE)) => Ok((width, height)),
@@ -128,6 +134,9 @@ async fn render_remote(args: &RenderArgs) -> anyhow::Result<()> {
     let client = args.server.client()?;
     let start = Instant::now();
     let spinner = ui::spinner("render");
+    if args.progressive {
+        return render_parts(args, client.render_progressively(&args.scene, &args.query()?).await?).await;
+    }
     let response = client.render(&args.scene, &args.query()?).await?;
     let header = |name: &str| response.headers().get(name).and_then(|v| v.to_str().ok()).map(str::to_owned);
     let version = header("x-rebake-version").unwrap_or_default();
@@ -139,6 +148,21 @@ async fn render_remote(args: &RenderArgs) -> anyhow::Result<()> {
     let time = ui::seconds(start.elapsed().as_secs_f64());
     ui::note(&format!("{}: version {version}{facts}, {time}", args.output.display()));
     Ok(())
+}
+
+/// Every part takes the place of the one before it as a whole: whoever looks at the file sees a picture.
+async fn render_parts(args: &RenderArgs, mut parts: Parts) -> anyhow::Result<()> {
+    let start = Instant::now();
+    while let Some(part) = parts.next().await? {
+        write(&args.output, &part.bytes)?;
+        note_pass(&args.output, part.header("x-rebake-samples").unwrap_or("?"), start);
+    }
+    Ok(())
+}
+
+fn note_pass(output: &Path, samples: &str, start: Instant) {
+    let time = ui::seconds(start.elapsed().as_secs_f64());
+    ui::note(&format!("{}: {samples} samples per pixel, {time}", output.display()));
 }
 
 impl RenderArgs {
@@ -192,6 +216,12 @@ fn bake_and_draw(args: &RenderArgs) -> anyhow::Result<()> {
     spinner.finish_and_clear();
     let baked = Instant::now();
     let spinner = ui::spinner("render");
+    if let (true, [early @ .., _]) = (args.progressive, &spec.passes()[..]) {
+        for pass in early {
+            write(&args.output, &draw((&world, &map), None, pass, &Unobserved)?.bytes)?;
+            note_pass(&args.output, &pass.options.samples.to_string(), baked);
+        }
+    }
     let drawn = draw((&world, &map), None, &spec, &Unobserved)?;
     spinner.finish_and_clear();
     let times = ((baked - start).as_secs_f64(), baked.elapsed().as_secs_f64());

@@ -41,6 +41,9 @@ pub enum ClientError {
         #[source]
         source: serde_json::Error,
     },
+    /// The answer's bytes are not what they should be.
+    #[error("{0} cannot be read")]
+    Malformed(&'static str),
     /// The answer is longer than this client reads.
     #[error("the answer is longer than {limit} bytes")]
     TooLong {

@@ -3,6 +3,7 @@
 
 mod error;
 mod follow;
+mod parts;
 mod sse;
 #[cfg(test)]
 mod tests;
@@ -10,6 +11,7 @@ pub mod types;
 
 pub use error::ClientError;
 pub use follow::{DeltaFollower, Retry, Update};
+pub use parts::{Part, Parts};
 pub use sse::{Event, EventStream, SseParser};
 
 use std::time::Duration;
@@ -205,6 +207,12 @@ impl Client {
     /// A picture; `query` as the API describes it.
     pub async fn render(&self, scene: &str, query: &[(&str, String)]) -> Result<Response, ClientError> {
         self.send(self.request(Method::GET, &["v1", "scenes", scene, "render"], query)?).await
+    }
+
+    /// A picture that gets better while one waits; `query` as the API describes it.
+    pub async fn render_progressively(&self, scene: &str, query: &[(&str, String)]) -> Result<Parts, ClientError> {
+        let query = [query, &[("progressive", "true".to_owned())]].concat();
+        self.render(scene, &query).await.map(Parts::new)
     }
 
     /// Positions, normals, areas and objects: 32 bytes per element.

@@ -1,15 +1,16 @@
 //! `rebake bench`: speed against error of all methods, side by side.
 
 mod study;
+mod table;
 
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use indicatif::ProgressBar;
-use rebake::bench::{
-    self, CaseReport, EditFile, Equation, Goal, Method, Options, Report, RunReport, StudyReport, Watcher,
-};
+use rebake::bench::{self, EditFile, Equation, Goal, Method, Options, PictureOptions, Report, StudyReport, Watcher};
+use rebake::sheet::Crop;
+use rebake_core::render::RenderOptions;
 use rebake_core::scene::{LoadLimits, Scene, load_glb};
 
 use super::demo;
@@ -41,7 +42,8 @@ taken to its transform and back, ten moves per second, beside a client that bake
   rebake bench room.glb room.edits.json --methods paper --path-length 0,1,2,3,4,5 --samples 256 -o over-m.json
   rebake bench --measure focus -o focus.json
   rebake bench room.glb room.edits.json --measure focus --focus '{\"point\":[1,1,1],\"radius\":1}' -o focus.json
-  rebake bench --measure drag -o drag.json";
+  rebake bench --measure drag -o drag.json
+  rebake bench room.glb room.edits.json --mode indirect --budget-seconds 2 --seeds 1 --pictures figures -o report.json";
 
 /// Arguments of `rebake bench`.
 #[derive(Debug, clap::Args)]
@@ -120,6 +122,42 @@ pub(super) struct BenchArgs {
     /// Threads [default: one per core]
     #[arg(long, value_name = "N", env = "REBAKE_THREADS")]
     threads: Option<NonZeroUsize>,
+    #[command(flatten)]
+    pictures: PictureArgs,
+}
+
+/// What is drawn of every case.
+#[derive(Debug, clap::Args)]
+struct PictureArgs {
+    /// Folder for pictures of the runs of the first budget: before, every method, reference, FLIP, change, and a sheet
+    /// of them all per case
+    #[arg(long, value_name = "DIR")]
+    pictures: Option<PathBuf>,
+    /// Pictures: index or name of a camera of the scene [default: the first]
+    #[arg(long, requires = "pictures")]
+    camera: Option<String>,
+    /// Pictures: pixels across and down
+    #[arg(long, value_name = "WxH", default_value = "480x360", value_parser = super::render::size, requires = "pictures")]
+    picture_size: (u32, u32),
+    /// Pictures: samples per pixel
+    #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..),
+          requires = "pictures")]
+    picture_spp: u32,
+    /// Pictures: a part to magnify, pixels; may be repeated [default: where the light changes most]
+    #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", value_parser = super::compare::crop, requires = "pictures")]
+    crop: Vec<Crop>,
+}
+
+impl PictureArgs {
+    fn options(&self) -> Option<PictureOptions> {
+        let (width, height) = (self.picture_size.0 as usize, self.picture_size.1 as usize);
+        self.pictures.as_ref().map(|folder| PictureOptions {
+            folder: folder.clone(),
+            camera: self.camera.clone(),
+            render: RenderOptions { width, height, samples: self.picture_spp, seed: 0 },
+            crops: self.crop.clone(),
+        })
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -182,6 +220,7 @@ impl BenchArgs {
             base_samples: self.base_samples,
             measure_base: self.measure_base,
             filter: self.cases.clone(),
+            pictures: self.pictures.options(),
         }
     }
 
@@ -276,9 +315,9 @@ impl Watcher for Screen {
         if let Some(case) = report.cases.last() {
             let print = || -> anyhow::Result<()> {
                 if report.cases.len() == 1 {
-                    print_head(report)?;
+                    table::print_head(report)?;
                 }
-                print_case(case)
+                table::print_case(case)
             };
             self.spinner.suspend(print)?;
         }
@@ -304,67 +343,4 @@ fn save(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     let mut out = Replacement::begin(path)?;
     out.write(bytes)?;
     out.finish().map(drop)
-}
-
-fn print_head(report: &Report) -> anyhow::Result<()> {
-    ui::out(&format!(
-        "{}: {} elements, spacing {:.3} m, {} threads, medians of {} runs",
-        ui::bold(&report.scene),
-        ui::count(report.elements as u64),
-        report.spacing,
-        report.threads,
-        report.seeds
-    ))
-}
-
-const HEADINGS: [&str; 12] =
-    ["method", "time", "CPU", "samples", "rays", "mean", "RMSE", "±", "bias", "stated", "gain", "by CPU"];
-
-fn print_case(case: &CaseReport) -> anyhow::Result<()> {
-    let widths: Vec<usize> = [18, 7, 7, 7, 7, 7, 7, 7, 7, 7, 6, 6].to_vec();
-    let table = ui::Table::new(&HEADINGS, &widths);
-    ui::out("")?;
-    let edited = format!("{:.1} % of the area", 100.0 * case.edited_share);
-    ui::out(&format!("{}, {edited}, {} elements", ui::bold(&case.name), ui::count(case.elements as u64)))?;
-    ui::out(&ui::faint(&table.row(&HEADINGS)))?;
-    let value = |x: Option<f64>| x.map_or_else(|| "–".to_owned(), ui::rmse);
-    let line = |name: &str, rmse: f64| table.row(&[name, "", "", "", "", "", &ui::rmse(rmse)]);
-    if let Some(rmse) = case.no_update_rmse {
-        ui::out(&line("no update", rmse))?;
-    }
-    if let Some(rmse) = case.base.rmse {
-        ui::out(&line("before the edit", rmse))?;
-    }
-    ui::out(&line("reference's noise", case.reference.rmse_noise))?;
-    for run in &case.runs {
-        ui::out(&table.row(&[
-            run.label(),
-            ui::seconds(run.seconds),
-            run.cpu_seconds.map_or_else(|| "–".to_owned(), ui::seconds),
-            run.samples_per_element.to_string(),
-            ui::short(run.rays as f64),
-            format!("{:.4}", run.mean_ratio),
-            ui::rmse(run.rmse),
-            ui::rmse(run.rmse_error),
-            bias(run),
-            value(run.estimated_rmse),
-            gain(run.gain),
-            gain(run.gain_cpu),
-        ]))?;
-    }
-    Ok(())
-}
-
-/// Bias, or what it is below where noise hides it.
-fn bias(run: &RunReport) -> String {
-    match (run.bias_floor, run.bias_error) {
-        (Some(floor), Some(error)) if floor > 2.0 * error => ui::rmse(floor),
-        (Some(floor), Some(error)) => format!("<{}", ui::rmse(floor + 2.0 * error)),
-        _ => "–".to_owned(),
-    }
-}
-
-/// RMSE of path tracing in the same time over this one.
-fn gain(gain: Option<f64>) -> String {
-    gain.map_or_else(|| "–".to_owned(), |g| if g < 9.95 { format!("{g:.1}×") } else { format!("{g:.0}×") })
 }
