@@ -12,7 +12,7 @@ use crate::job::{Budget, Canceled, Observer, Pass};
 use crate::layers::{Computed, Header, Stack, groups_of, weights_of, weights_within, with_layers};
 use crate::lightmap::LightMap;
 use crate::random::{Pcg32, subseed};
-use crate::rounds::{First, Goal, Phase, Round, Rounds};
+use crate::rounds::{Estimate, First, Goal, Phase, Round, Rounds};
 use crate::solve::{Exchange, Rows, Source, Subset};
 use crate::transport::direct::direct_of;
 use crate::transport::{Effort, Field, Rough, Surfel, Value, Work, gather};
@@ -155,12 +155,12 @@ impl<'a> Baker<'a> {
     }
 
     /// One independent estimate of direct and indirect light.
-    pub(crate) fn round<V: Value>(&self, round: &Round<V>) -> Result<(Vec<V>, Vec<V>), Canceled> {
+    pub(crate) fn round<V: Value>(&self, round: &Round<V>) -> Result<Estimate<V>, Canceled> {
         self.round_at(round, &self.slots)
     }
 
     /// The same, with indirect light gathered in some slots only; elsewhere it is that of the solution on the subset.
-    fn round_at<V: Value>(&self, round: &Round<V>, gathered: &[u32]) -> Result<(Vec<V>, Vec<V>), Canceled> {
+    fn round_at<V: Value>(&self, round: &Round<V>, gathered: &[u32]) -> Result<Estimate<V>, Canceled> {
         let (world, work) = (self.world, self.work);
         (round.begin)(Pass::Direct, 0.0);
         // Earlier rounds choose the number of samples, never what they find: the mean stays free of bias.

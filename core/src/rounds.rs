@@ -13,7 +13,11 @@ use crate::transport::{Value, Work};
 /// Samples per element of the first two rounds; every later round doubles the total.
 const FIRST_SAMPLES: u32 = 4;
 
+/// Direct and indirect light per slot, one independent estimate.
+pub(crate) type Estimate<V> = (Vec<V>, Vec<V>);
+
 /// What one round is told.
+#[derive(Clone, Copy)]
 pub(crate) struct Round<'a, V> {
     /// Samples per element.
     pub samples: u32,
@@ -46,7 +50,7 @@ pub(crate) struct Goal<'a> {
 }
 
 /// Samples per element of what somebody looks at, before the rest of the scene gets any.
-const FOCUS_SAMPLES: u32 = 32;
+const FOCUS_SAMPLES: u32 = 64;
 
 impl Goal<'_> {
     /// How far what is looked at is computed before the rest.
@@ -104,7 +108,7 @@ impl Rounds<'_> {
         &self,
         stated: impl Fn(&LightMap) -> Option<f32>,
         enough: impl Fn(&Accumulator<V>) -> bool,
-        mut round: impl FnMut(&Round<V>) -> Result<(Vec<V>, Vec<V>), Canceled>,
+        mut round: impl FnMut(&Round<V>) -> Result<Estimate<V>, Canceled>,
         compose: impl Fn(&Accumulator<V>) -> LightMap,
     ) -> Result<Option<Arc<LightMap>>, Canceled> {
         let Rounds { budget, work, phase, .. } = *self;

@@ -59,6 +59,10 @@ fn check(focus: &Focus, inside: impl Fn(Vec3) -> bool, outside: impl Fn(Vec3) ->
     let mean = |m: &LightMap| area_mean(after, region, |i| m.total(i).as_dvec3());
     let (early, late, stale) = (mean(&first), mean(&plain), mean(&carried));
     assert!((early - late).abs() < 0.25 * (stale - late).abs(), "{early} at first, {late} at last, {stale} before");
+    // The last map before the rest follows is right where somebody looks.
+    let parts = snapshots.1.lock().expect("nobody panics").iter().filter(|p| p.samples_per_element == 0).count();
+    let seen = mean(&snapshots.0.lock().expect("nobody panics")[parts - 1]);
+    assert!(parts > 2 && (seen - late).abs() < 0.1 * (stale - late).abs(), "{seen} after {parts}, {late} at last");
     let ratio = mean_total(after, &done) / mean_total(after, &plain);
     assert!((ratio - 1.0).abs() < 5e-3, "the whole map is {ratio} of that without focus");
     let last = snapshots.0.lock().expect("nobody panics").pop().expect("a snapshot");

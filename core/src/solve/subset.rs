@@ -82,6 +82,23 @@ impl Subset {
         self.sides.push(Side { placed: Arc::clone(placed), first_slot, back, index, hidden, alone });
     }
 
+    /// Per slot: whether it is a representative that some of `wanted` are interpolated from.
+    pub(crate) fn needed_by(&self, wanted: &[u32], slots: usize) -> Vec<bool> {
+        let mut is_wanted = vec![false; slots];
+        wanted.iter().for_each(|&slot| is_wanted[slot as usize] = true);
+        let mut needed = vec![false; slots];
+        for side in &self.sides {
+            for element in 0..side.placed.surface.positions.len() as u32 {
+                if is_wanted[(side.first_slot + element) as usize] {
+                    side.entries_of(element).for_each(|(i, _)| needed[self.slots[i] as usize] = true);
+                }
+            }
+            let alone = side.alone.iter().filter(|(element, _)| is_wanted[(side.first_slot + element) as usize]);
+            alone.for_each(|&(_, i)| needed[self.slots[i as usize] as usize] = true);
+        }
+        needed
+    }
+
     /// Bytes of its own; surfaces and their weights belong to the world.
     pub(crate) fn memory_bytes(&self) -> usize {
         let side = |side: &Side| size_of_val(side.index.as_slice()) + size_of_val(side.alone.as_slice());

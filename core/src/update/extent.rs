@@ -26,6 +26,14 @@ impl Extent {
         Extent { fine, spread, representatives }
     }
 
+    /// Rows that are looked at, and nothing else: representatives of others among those that theirs are interpolated from.
+    pub(super) fn only(rows: &[u32], subset: &Subset, slots: usize, is_fine: impl Fn(u32) -> bool) -> Extent {
+        let (fine, spread): (Vec<u32>, Vec<u32>) = rows.iter().partition(|&&slot| is_fine(slot));
+        let needed = subset.needed_by(&spread, slots);
+        let representatives = subset.slots.iter().copied().filter(|&slot| needed[slot as usize]).collect();
+        Extent { fine, spread, representatives }
+    }
+
     /// Adds values to all rows: those of `fine` and `representatives`, in that order.
     pub(super) fn add<V: Value>(&self, subset: &Subset, fine: &[V], representatives: &[V], out: &mut [V]) {
         self.fine.iter().zip(fine).for_each(|(&slot, v)| out[slot as usize] += *v);

@@ -10,6 +10,7 @@
 
 mod direct;
 mod extent;
+mod look_first;
 mod new_rows;
 mod source;
 mod updater;

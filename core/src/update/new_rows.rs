@@ -17,9 +17,16 @@ const NEW_ROW_SAMPLES: u32 = 4;
 const SELF_SAMPLES: u32 = 32;
 
 impl<V: Value> Updater<'_, V> {
-    /// Direct and indirect light of new rows, written over their slots. `direct` holds ΔD of the static rows.
-    pub(super) fn new_rows(&self, round: &Round<V>, direct: &mut [V], indirect: &mut [V]) -> Result<(), Canceled> {
-        let rows = &self.transition.new_rows;
+    /// Direct and indirect light of new rows, written over their slots. `direct` holds ΔD of the static rows, and what is
+    /// known of new rows that are not among `rows`; `known` is the indirect light of all new rows, where there is any yet.
+    pub(super) fn new_rows(
+        &self,
+        round: &Round<V>,
+        rows: &[u32],
+        known: Option<&[V]>,
+        direct: &mut [V],
+        indirect: &mut [V],
+    ) -> Result<(), Canceled> {
         if rows.is_empty() {
             return Ok(());
         }
@@ -30,14 +37,15 @@ impl<V: Value> Updater<'_, V> {
         let own_direct: Vec<V> = direct_of(world, rows, samples, &nominal, subseed(round.seed, 0xd0), work)?;
         for (&slot, d) in rows.iter().zip(&own_direct) {
             direct[slot as usize] = *d;
-            field[slot as usize] = *d;
         }
+        self.transition.new_rows.iter().for_each(|&slot| field[slot as usize] = direct[slot as usize]);
         world.validity.fill(&mut field);
-        if round.sum.samples() == 0 {
-            self.self_passes(round.seed, &own_direct, &mut field)?;
-        } else {
-            let known = round.sum.indirect();
-            rows.iter().for_each(|&slot| field[slot as usize] += known[slot as usize]);
+        match known {
+            None => self.self_passes(round.seed, &own_direct, &mut field)?,
+            Some(known) => {
+                let all = &self.transition.new_rows;
+                all.iter().for_each(|&slot| field[slot as usize] += known[slot as usize]);
+            }
         }
         let rough = Rough::default();
         let light = Field { total: &field, direct: &field, rough: &rough };

@@ -1,6 +1,5 @@
 //! One stage of an update: the change of some layers, round by round.
 
-use std::cell::RefCell;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -8,11 +7,10 @@ use glam::Vec3;
 use super::extent::Extent;
 use super::{Stage, direct, source};
 use crate::accumulate::Accumulator;
-use crate::focus::Focus;
 use crate::job::{Canceled, Pass};
 use crate::layers::Stack;
 use crate::random::{Pcg32, subseed};
-use crate::rounds::{First, Goal, Phase, Round, Rounds};
+use crate::rounds::{Estimate, First, Round};
 use crate::solve::{Exchange, Rows, Source, Subset};
 use crate::transport::{Surfel, Value, Work};
 use crate::world::{Transition, World};
@@ -25,8 +23,36 @@ const LEAST_WEIGHT: f64 = 0.25;
 
 /// Where the parts of a round are estimated element by element.
 pub(super) struct Extents {
-    direct: Extent,
-    source: Extent,
+    pub direct: Extent,
+    pub source: Extent,
+}
+
+/// Change of direct and of indirect light per slot; values on new rows.
+#[derive(Clone)]
+pub(super) struct Parts<V> {
+    pub direct: Vec<V>,
+    pub indirect: Vec<V>,
+}
+
+impl<V: Value> Parts<V> {
+    pub(super) fn black(slots: usize) -> Parts<V> {
+        Parts { direct: vec![V::default(); slots], indirect: vec![V::default(); slots] }
+    }
+
+    /// Black in some slots.
+    pub(super) fn without(mut self, slots: &[bool]) -> Parts<V> {
+        for slot in slots.iter().enumerate().filter(|(_, out)| **out).map(|(slot, _)| slot) {
+            (self.direct[slot], self.indirect[slot]) = (V::default(), V::default());
+        }
+        self
+    }
+
+    /// Direct and indirect light, bounces and all.
+    pub(super) fn with(self, bounces: &[V]) -> Estimate<V> {
+        let Parts { direct, mut indirect } = self;
+        indirect.iter_mut().zip(bounces).for_each(|(i, b)| *i += *b);
+        (direct, indirect)
+    }
 }
 
 /// What all rounds of a stage share.
@@ -34,18 +60,18 @@ pub(super) struct Updater<'a, V> {
     pub(super) transition: &'a Transition,
     pub(super) world: &'a World,
     pub(super) work: &'a Work<'a>,
-    stage: Stage<'a, V>,
+    pub(super) stage: Stage<'a, V>,
     /// The old light in the new slots; zero on new rows.
-    old: Stack<V>,
+    pub(super) old: Stack<V>,
     /// direct + indirect of `old`.
     pub(super) old_total: Vec<V>,
     /// direct + indirect of the map of `before`, in its slots.
     before_total: Vec<V>,
     /// Computed elements that keep an old value.
-    static_rows: Vec<u32>,
+    pub(super) static_rows: Vec<u32>,
     pub(super) subset: Subset,
     rows: Arc<Rows>,
-    source: source::Source<'a>,
+    pub(super) source: source::Source<'a>,
     direct: direct::DirectChange<'a>,
     /// Change of albedo per part of the new world.
     repaint: Vec<Vec3>,
@@ -99,47 +125,39 @@ impl<'a, V: Value> Updater<'a, V> {
         }
     }
 
-    /// Brings what is looked at up to date.
-    pub(super) fn look_first(&self, focus: &Focus, goal: &Goal, work: &Work) -> Result<Option<First<V>>, Canceled> {
-        let is_seen = focus.covers(self.world);
-        if !is_seen.iter().any(|seen| *seen) {
-            return Ok(None);
-        }
-        let extents = self.extents(|slot| is_seen[slot as usize]);
-        let last = RefCell::new(None);
-        let compose = |s: &Accumulator<V>| {
-            let mut stack = self.compose(s);
-            let unseen = self.static_rows.iter().copied().filter(|&slot| !is_seen[slot as usize]);
-            stack.blend(&self.old, unseen, 1.0, None);
-            stack.fill_invalid(&self.world.validity);
-            last.replace(Some((stack.clone(), s.samples())));
-            (self.stage.finish)(stack)
-        };
-        // The rest of the map is out of date: nothing can be stated about the whole.
-        let (len, weights) = (self.world.slots(), self.stage.weights);
-        let (budget, seed) = (&goal.first_budget(), goal.first_seed());
-        let rounds = Rounds { len, weights, budget, seed, work, phase: Phase::Part };
-        rounds.run(|_| None, |_| false, |r| self.round(r, &extents), compose)?;
-        Ok(last.take().map(|(stack, samples)| First { stack, is_seen, samples }))
-    }
-
     /// The mean of what was done first and what followed, by samples.
     pub(super) fn merge(&self, first: &First<V>, mut stack: Stack<V>, samples: u32) -> Stack<V> {
-        first.merge(&mut stack, samples, self.static_rows.iter().copied(), Some(&self.old));
+        let rows = self.static_rows.iter().chain(&self.transition.new_rows).copied();
+        first.merge(&mut stack, samples, rows, Some(&self.old));
         stack.fill_invalid(&self.world.validity);
         stack
     }
 
     /// One independent estimate: changes on static rows, values on new rows.
-    pub(super) fn round(&self, round: &Round<V>, extents: &Extents) -> Result<(Vec<V>, Vec<V>), Canceled> {
+    pub(super) fn round(&self, round: &Round<V>, extents: &Extents) -> Result<Estimate<V>, Canceled> {
+        let mut parts = Parts::black(self.world.slots());
+        let known = (round.sum.samples() > 0).then(|| round.sum.indirect());
+        self.arriving(round, extents, (&self.transition.new_rows, known.as_deref()), &mut parts)?;
+        let bounces = self.propagate(&parts, round, None)?;
+        Ok(parts.with(&bounces))
+    }
+
+    /// What changes before any bounce: ΔD and S on the static rows of `extents`, light of some new rows, with what is known
+    /// of the indirect light of all. `parts` holds what is known elsewhere.
+    pub(super) fn arriving(
+        &self,
+        round: &Round<V>,
+        extents: &Extents,
+        (new_rows, known): (&[u32], Option<&[V]>),
+        parts: &mut Parts<V>,
+    ) -> Result<(), Canceled> {
         let (world, work) = (self.world, self.work);
+        let Parts { direct, indirect } = parts;
         (round.begin)(Pass::Direct, 0.0);
-        let mut direct = vec![V::default(); world.slots()];
-        self.direct.estimate(&extents.direct, &self.subset, round.samples, round.seed, work, &mut direct)?;
+        self.direct.estimate(&extents.direct, &self.subset, round.samples, round.seed, work, direct)?;
 
         (round.begin)(Pass::Object, 0.2);
-        let mut indirect = vec![V::default(); world.slots()];
-        self.new_rows(round, &mut direct, &mut indirect)?;
+        self.new_rows(round, new_rows, known, direct, indirect)?;
 
         (round.begin)(Pass::Source, 0.4);
         // What the rays of S look up in the new scene: the old map, and the new rows' own values.
@@ -149,13 +167,7 @@ impl<'a, V: Value> Updater<'a, V> {
         }
         world.validity.fill(&mut guess);
         let maps = source::Maps { before: &self.before_total, after: &guess };
-        let extent = &extents.source;
-        self.source.estimate(extent, &self.subset, &maps, round, work, &mut direct, &mut indirect)?;
-
-        (round.begin)(Pass::Propagation, 0.8);
-        let bounces = self.propagate(&direct, &indirect, round)?;
-        indirect.iter_mut().zip(bounces).for_each(|(i, b)| *i += b);
-        Ok((direct, indirect))
+        self.source.estimate(&extents.source, &self.subset, &maps, round, work, direct, indirect)
     }
 
     /// Whether the change is larger than the light that is left: its noise would be, too, and a bake is the better
@@ -173,9 +185,17 @@ impl<'a, V: Value> Updater<'a, V> {
         change > left
     }
 
-    /// X = Σ_k u_k. New rows have gathered ΔD and the repainted surfaces already: they see only what S changed.
-    fn propagate(&self, direct: &[V], indirect: &[V], round: &Round<V>) -> Result<Vec<V>, Canceled> {
+    /// X = Σ_k u_k. New rows have gathered ΔD and the repainted surfaces already: they see only what S changed. Where X is
+    /// `known` roughly, only what some rows gather of it is computed anew, and the answer is of use for them only.
+    pub(super) fn propagate(
+        &self,
+        parts: &Parts<V>,
+        round: &Round<V>,
+        known: Option<(&Arc<Rows>, &[V])>,
+    ) -> Result<Vec<V>, Canceled> {
         let world = self.world;
+        let Parts { direct, indirect } = parts;
+        (round.begin)(Pass::Propagation, 0.8);
         let (mut seen_by_old, mut seen_by_new) = (vec![V::default(); world.slots()], vec![V::default(); world.slots()]);
         for &slot in &self.static_rows {
             let slot = slot as usize;
@@ -196,10 +216,14 @@ impl<'a, V: Value> Updater<'a, V> {
         // gone on from near surfaces through the new scene when they were gathered.
         let change = |slot: u32, s: &Surfel, near: bool, _: &mut Pcg32, _: &mut u64| {
             let Some(elements) = s.elements else { return V::default() };
+            let bounced = match known {
+                Some((_, bounces)) if !near => s.interpolate(elements, bounces) * s.albedo,
+                _ => V::default(),
+            };
             if is_new.get(slot as usize).copied().unwrap_or(false) {
-                return if near { V::default() } else { s.interpolate(elements, &seen_by_new) * s.albedo };
+                return if near { bounced } else { bounced + s.interpolate(elements, &seen_by_new) * s.albedo };
             }
-            let change = s.interpolate(elements, &seen_by_old) * s.albedo;
+            let change = bounced + s.interpolate(elements, &seen_by_old) * s.albedo;
             if !repainted {
                 return change;
             }
@@ -209,8 +233,12 @@ impl<'a, V: Value> Updater<'a, V> {
         let samples = (round.samples * 2).clamp(PROPAGATION_SAMPLES.0, PROPAGATION_SAMPLES.1);
         let samples = (f64::from(samples) * self.weight_of(&seen_by_old)).ceil() as u32;
         let seed = subseed(round.seed, 0x9409);
-        let exchange = Exchange::trace(world, &self.subset, &self.rows, &source, samples, seed, self.work)?;
-        let bounces = exchange.to_representatives(&self.subset, &exchange.all_bounces(&exchange.first));
+        let rows = known.map_or(&self.rows, |(rows, _)| rows);
+        let exchange = Exchange::trace(world, &self.subset, rows, &source, samples, seed, self.work)?;
+        let bounces = match known {
+            Some(_) => exchange.to_representatives(&self.subset, &exchange.first),
+            None => exchange.to_representatives(&self.subset, &exchange.all_bounces(&exchange.first)),
+        };
         let mut field = self.subset.interpolate(&bounces);
         world.validity.fill(&mut field);
         Ok(field)
