@@ -63,7 +63,7 @@ fn large_dark_and_bright_objects_in_bright_rooms() {
     };
     // The block would stick into the cube, the lamp is above it.
     let room = |albedo| world(room_objects(albedo).into_iter().filter(|o| o.name != "block").collect(), 0.2);
-    for (wall, object, tolerance) in [(0.9, 0.0, 0.02), (0.95, 0.0, 0.02), (0.9, 0.8, 0.02)] {
+    for (wall, object, tolerance) in [(0.9, 0.0, 0.01), (0.95, 0.0, 0.01), (0.9, 0.8, 0.01)] {
         check_insert(&format!("cube of {object} in a room of {wall}"), &room(wall), cube(object), tolerance);
     }
 }
