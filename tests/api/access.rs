@@ -13,10 +13,10 @@ use super::glb::room;
 use super::server::{Answer, Server, path_of, patiently};
 
 const READ: &str = "0123456789abcdef-read";
-const EDIT: &str = "0123456789abcdef-edit";
+pub(crate) const EDIT: &str = "0123456789abcdef-edit";
 const ADMIN: &str = "0123456789abcdef-admin";
 
-fn token_file() -> tempfile::NamedTempFile {
+pub(crate) fn token_file() -> tempfile::NamedTempFile {
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), format!("# test\n{READ} read\n{EDIT} read,edit\n{ADMIN} admin\n")).unwrap();
     file

@@ -11,12 +11,14 @@ use std::time::Duration;
 
 use glam::{DMat3, DMat4, DVec3, Vec3};
 use rebake::Config;
+use rebake::auth::Tokens;
 use rebake_core::export::write_scene_glb;
 use rebake_core::scene::{Camera, Material, Mesh, Object, Scene};
 use tokio::net::TcpListener;
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
 
+use super::access::{EDIT, token_file};
 use super::server::{Server, patiently};
 
 /// Between two lines of the script: longer than it waits itself.
@@ -49,7 +51,9 @@ async fn the_page_edits_a_room_in_a_browser() {
     std::fs::write(&room, write_scene_glb(&furnished_room()).unwrap()).unwrap();
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
-    let mut service = Some(Service::start(listener));
+    let file = token_file();
+    let tokens = Tokens::read(file.path()).unwrap();
+    let mut service = Some(Service::start(listener, &tokens));
     let mut script = Script::start(viewer, &chromium, &page, address, &room);
     let mut said = Vec::new();
     while let Some(line) = script.line().await {
@@ -59,7 +63,7 @@ async fn the_page_edits_a_room_in_a_browser() {
                 script.answer();
             }
             "start" => {
-                service = Some(Service::start(TcpListener::bind(address).await.unwrap()));
+                service = Some(Service::start(TcpListener::bind(address).await.unwrap(), &tokens));
                 script.answer();
             }
             _ => said.push(line),
@@ -115,8 +119,8 @@ struct Service {
 }
 
 impl Service {
-    fn start(listener: TcpListener) -> Service {
-        let mut config = Config { threads: 2, ..Config::default() };
+    fn start(listener: TcpListener, tokens: &Tokens) -> Service {
+        let mut config = Config { threads: 2, tokens: Some(tokens.clone()), ..Config::default() };
         (config.defaults.bake_samples, config.defaults.edit_samples) = (32, 16);
         // Streams of a page that stays open would hold up the end.
         config.timeouts.shutdown = Duration::from_secs(2);
@@ -149,6 +153,7 @@ impl Script {
             .env("CHROMIUM", chromium)
             .env("PAGE_DIR", page)
             .env("CAN_RESTART", "1")
+            .env("TOKEN", EDIT)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()

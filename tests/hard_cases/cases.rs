@@ -6,7 +6,7 @@ use glam::{DMat4, DVec3, Vec3};
 use rebake_core::scene::{Material, Mesh, Object, Scene};
 use rebake_core::{Edit, World, WorldOptions};
 
-use super::scenes::{crate_at, room_objects, world};
+use super::scenes::{crate_at, open_scene_objects, room_objects, world};
 
 /// A world and edits, each a request of its own.
 pub(super) struct HardCase {
@@ -156,20 +156,7 @@ fn scales() -> Vec<HardCase> {
 }
 
 fn meshes() -> Vec<HardCase> {
-    let mut floor = Mesh::quad(Vec3::ZERO, Vec3::Z * 2.0, Vec3::X * 2.0);
-    let (triangles, materials) = (floor.triangles.clone(), floor.triangle_materials.clone());
-    floor.triangles.extend(&triangles);
-    floor.triangle_materials.extend(&materials);
-    floor.triangles.push([0, 0, 1]);
-    floor.triangle_materials.push(0);
-    let white = Material::diffuse(Vec3::splat(0.8));
-    let wall = Object::new("wall", Mesh::quad(Vec3::ZERO, Vec3::X * 2.0, Vec3::Y * 2.0), white);
-    let lamp = Object::new(
-        "lamp",
-        Mesh::quad(Vec3::new(0.5, 1.8, 0.5), Vec3::X * 0.5, Vec3::Z * 0.5),
-        Material::emissive(Vec3::splat(5.0)),
-    );
-    let open = world(vec![Object::new("floor", floor, white), wall, lamp], 0.1);
+    let open = world(open_scene_objects(), 0.1);
     let dense = Object::new("sphere", Mesh::icosphere(0.4, 7), Material::diffuse(Vec3::splat(0.5)))
         .placed(DMat4::from_translation(DVec3::new(2.1, 0.5, 2.0)));
     vec![

@@ -7,7 +7,7 @@ use rebake_core::path::path_trace;
 use rebake_core::scene::{Material, Mesh, Object, Scene};
 use rebake_core::{Budget, Edit, LightMap, Unobserved, World, WorldOptions, bake, refine, update};
 
-use super::scenes::{crate_at, room_objects, world};
+use super::scenes::{crate_at, open_scene_objects, room_objects, world};
 use super::statistics::{area_mean, mean_total};
 
 fn budget(samples: u32) -> Budget {
@@ -203,20 +203,7 @@ fn refined_after_every_pair_a_hundred_edits_leave_no_trace() {
 
 #[test]
 fn open_scenes_degenerate_and_duplicate_triangles() {
-    let mut floor = Mesh::quad(Vec3::ZERO, Vec3::Z * 2.0, Vec3::X * 2.0);
-    let (triangles, materials) = (floor.triangles.clone(), floor.triangle_materials.clone());
-    floor.triangles.extend(&triangles);
-    floor.triangle_materials.extend(&materials);
-    floor.triangles.push([0, 0, 1]);
-    floor.triangle_materials.push(0);
-    let white = Material::diffuse(Vec3::splat(0.8));
-    let wall = Object::new("wall", Mesh::quad(Vec3::ZERO, Vec3::X * 2.0, Vec3::Y * 2.0), white);
-    let lamp = Object::new(
-        "lamp",
-        Mesh::quad(Vec3::new(0.5, 1.8, 0.5), Vec3::X * 0.5, Vec3::Z * 0.5),
-        Material::emissive(Vec3::splat(5.0)),
-    );
-    let world = world(vec![Object::new("floor", floor, white), wall, lamp], 0.1);
+    let world = world(open_scene_objects(), 0.1);
     let map = baked(&world, 64);
     assert_finite("open scene", &map);
     let ratio = ratio_to_path_tracing(&world, &map, 256);

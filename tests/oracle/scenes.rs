@@ -40,3 +40,21 @@ pub(super) fn crate_at(name: &str, x: f32, z: f32, albedo: Vec3) -> Object {
     let place = DMat4::from_translation(DVec3::new(f64::from(x), 0.0, f64::from(z)));
     Object::new(name, mesh, Material::diffuse(albedo)).placed(place)
 }
+
+/// A floor whose triangles are there twice, with a degenerate one, a wall and a lamp, and nothing around them.
+pub(super) fn open_scene_objects() -> Vec<Object> {
+    let mut floor = Mesh::quad(Vec3::ZERO, Vec3::Z * 2.0, Vec3::X * 2.0);
+    let (triangles, materials) = (floor.triangles.clone(), floor.triangle_materials.clone());
+    floor.triangles.extend(&triangles);
+    floor.triangle_materials.extend(&materials);
+    floor.triangles.push([0, 0, 1]);
+    floor.triangle_materials.push(0);
+    let white = Material::diffuse(Vec3::splat(0.8));
+    let wall = Object::new("wall", Mesh::quad(Vec3::ZERO, Vec3::X * 2.0, Vec3::Y * 2.0), white);
+    let lamp = Object::new(
+        "lamp",
+        Mesh::quad(Vec3::new(0.5, 1.8, 0.5), Vec3::X * 0.5, Vec3::Z * 0.5),
+        Material::emissive(Vec3::splat(5.0)),
+    );
+    vec![Object::new("floor", floor, white), wall, lamp]
+}

@@ -1,6 +1,7 @@
 // The HTTP API. Every refusal becomes an Error whose message a person can act on.
 
 import { parts } from './parts';
+import { askAgain, authorization } from './token';
 import type { Edit, Job, Scene, SceneSummary, View } from './types';
 
 /** The service said no. */
@@ -15,13 +16,15 @@ export class Refused extends Error {
 }
 
 async function call(path: string, init?: RequestInit): Promise<Response> {
+  const sent = authorization();
   let response: Response;
   try {
-    response = await fetch(path, init);
+    response = await fetch(path, { ...init, headers: { ...init?.headers, ...sent } });
   } catch {
     throw new Error('The service does not answer.');
   }
   if (response.ok) return response;
+  if (response.status === 401 && askAgain(sent)) return call(path, init);
   const problem = await response.json().catch(() => ({}));
   const text = [problem.title ?? response.statusText, problem.detail].filter(Boolean).join(': ');
   throw new Refused(response.status, problem.type ?? '', text);
@@ -50,7 +53,7 @@ export const api = {
   layerDelta: async (scene: string, layer: string, since: number) =>
     (await call(`${of(scene)}/lightmap/deltas?since=${since}&layer=${encodeURIComponent(layer)}`)).arrayBuffer(),
   deltas: (scene: string) => new URL(`${of(scene)}/lightmap/deltas`, document.baseURI).href,
-  events: (scene: string) => new EventSource(`${of(scene)}/events`),
+  events: (scene: string) => `${of(scene)}/events`,
   /** Pictures from the page's own camera, each with more samples per pixel than the one before. */
   async *pictures(scene: string, view: string, camera: View, exposure: number, spp: number, signal: AbortSignal) {
     const query = new URLSearchParams({

@@ -3,6 +3,7 @@
 import { Matrix4 } from 'three';
 import { api } from './api';
 import { Editor } from './editor';
+import { Events } from './events';
 import { onDrop, onFile } from './files';
 import { LightMap } from './lightmap';
 import { attempting, banner, say } from './messages';
@@ -10,6 +11,7 @@ import { $, details, list, make, work } from './panels';
 import { Plot } from './plot';
 import { Relighting } from './relighting';
 import { Stage, type Picked } from './stage';
+import { authorization } from './token';
 import { isOpen, type Job, type Point, type Rgb, type Scene } from './types';
 import { Views } from './views';
 import type { FromWorker } from './worker';
@@ -34,7 +36,7 @@ const editor = new Editor(() => scene!, () => stage.view(), {
 let scene: Scene | null = null;
 let picked: Picked | null = null;
 let version = 0;
-let events: EventSource | null = null;
+let events: Events | null = null;
 let jobs: Job[] = [];
 /** Names of the objects before the last edit: the others have no light to compare with. */
 let before = new Set<string>();
@@ -90,7 +92,7 @@ async function open(id: string): Promise<void> {
   cameras.replaceChildren(option('', 'overview'), ...scene.cameras.map((c) => option(String(c.index), c.name)));
   cameras.value = scene.cameras.length ? '0' : '';
   useCamera();
-  worker.postMessage({ url: api.deltas(id) });
+  worker.postMessage({ url: api.deltas(id), headers: authorization() });
   jobs = await api.jobs(id);
   listen(id);
   panels();
@@ -133,19 +135,18 @@ async function refresh(): Promise<void> {
 // ---- what the service tells
 
 function listen(id: string): void {
-  events = api.events(id);
-  const on = (name: string, heard: (data: any) => void) =>
-    events!.addEventListener(name, (event) => heard(JSON.parse((event as MessageEvent).data)));
-  on('job', told);
-  on('scene', (data) => {
-    if (data.what === 'deleted') void attempt(() => listScenes());
-    else void attempt(refresh);
+  events = new Events(api.events(id), {
+    job: told,
+    scene: (data) => {
+      if (data.what === 'deleted') void attempt(() => listScenes());
+      else void attempt(refresh);
+    },
+    snapshot: (data) => {
+      if (scene) scene.estimated_rmse = data.estimated_rmse;
+      if (scene && data.elements_version > scene.elements_version) void attempt(refresh);
+    },
+    reset: () => void attempt(async () => ((jobs = await api.jobs(id)), refresh())),
   });
-  on('snapshot', (data) => {
-    if (scene) scene.estimated_rmse = data.estimated_rmse;
-    if (scene && data.elements_version > scene.elements_version) void attempt(refresh);
-  });
-  on('reset', () => void attempt(async () => ((jobs = await api.jobs(id)), refresh())));
 }
 
 function told(job: Job): void {

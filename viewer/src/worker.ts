@@ -11,21 +11,21 @@ export type FromWorker =
 
 let running: AbortController | undefined;
 
-addEventListener('message', ({ data }: MessageEvent<{ url: string } | null>) => {
+addEventListener('message', ({ data }: MessageEvent<{ url: string; headers: Record<string, string> } | null>) => {
   running?.abort();
   if (!data) return;
   running = new AbortController();
-  void follow(data.url, running.signal);
+  void follow(data.url, data.headers, running.signal);
 });
 
 const post = (message: FromWorker, transfer: Transferable[] = []) => postMessage(message, { transfer });
 const pause = (ms: number) => new Promise((resolve) => setTimeout(resolve, ms));
 
-async function follow(url: string, signal: AbortSignal): Promise<void> {
+async function follow(url: string, headers: Record<string, string>, signal: AbortSignal): Promise<void> {
   let since = 0;
   for (let failures = 0; !signal.aborted; ) {
     try {
-      const response = await fetch(`${url}?since=${since}&follow=true`, { signal });
+      const response = await fetch(`${url}?since=${since}&follow=true`, { signal, headers });
       if (response.status === 404) return post({ type: 'gone' });
       if (response.status === 409) {
         // Another life of the service counts its versions anew.

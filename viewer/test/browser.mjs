@@ -3,7 +3,7 @@
 //
 //   node viewer/test/browser.mjs http://127.0.0.1:7878 room.glb object viewer/screenshots
 //
-// CHROMIUM names the browser. PAGE_DIR serves the page's files from a directory instead of from the service.
+// TOKEN is what the service asks for, if it does. CHROMIUM names the browser. PAGE_DIR serves the page's files from a directory instead of from the service.
 // Where standard input is connected, "restart" on standard output asks for a restart of the service, and a line back
 // says that it is done.
 
@@ -15,6 +15,7 @@ import { launch } from './launch.mjs';
 
 const [base, room, objectName, shots] = process.argv.slice(2);
 const PATIENCE = 60_000;
+const token = process.env.TOKEN;
 
 function check(is, text) {
   if (!is) throw new Error(text);
@@ -67,6 +68,9 @@ try {
   page.setDefaultTimeout(PATIENCE);
   const errors = [];
   page.on('pageerror', (error) => errors.push(String(error)));
+  // The service asks for a token: first a wrong one, then the right one.
+  const answers = token ? ['0123456789abcdef-wrong', token] : [];
+  page.on('dialog', (dialog) => void dialog.accept(answers.shift()));
   const state = () => page.evaluate(() => window.rebake.state());
   const shot = (name) => page.screenshot({ path: join(shots, `${name}.png`) });
   const canvas = async () => decodePng(await page.locator('#stage').screenshot());
@@ -90,7 +94,7 @@ try {
       const query = new URLSearchParams({ ...view, eye: view.eye.join(), target: view.target.join(), up: view.up.join() });
       return `${base}/v1/scenes/${scene.id}/render?${query}&exposure=${exposure}&spp=64`;
     }, base);
-    const answer = await fetch(url);
+    const answer = await fetch(url, { headers: token ? { authorization: `Bearer ${token}` } : {} });
     if (!answer.ok) throw new Error(await answer.text());
     return decodePng(Buffer.from(await answer.arrayBuffer()));
   };
