@@ -124,3 +124,30 @@ fn a_moved_lamp_comes_first_where_somebody_looks() {
     let ratio = mean_total(&world, &done) / mean_total(&world, &plain);
     assert!((ratio - 1.0).abs() < 5e-3, "the whole map is {ratio} of that without focus");
 }
+
+/// What is not looked at is estimated once for all rounds: that must not make what is stated of the view too small.
+#[test]
+fn what_is_stated_of_the_view_is_the_scatter_of_runs() {
+    const RUNS: u64 = 12;
+    let (before, transition) = room_and_edit();
+    let after = &transition.after;
+    let old = bake(&before, &budget(64), 1, &Unobserved).expect("nobody cancels");
+    let carried = transition.carry_over(&old);
+    let middle = Vec3::new(2.2, 0.0, 1.9);
+    let focus = Focus::Sphere { point: middle.as_dvec3(), radius: 0.8 };
+    let runs: Vec<Arc<LightMap>> = (0..RUNS)
+        .map(|seed| update(&transition, &old, &budget(16), Some(&focus), seed, &Unobserved).expect("nobody cancels"))
+        .collect();
+    let region = |i: usize| i < before.slots() && before.is_valid(i) && after.positions()[i].distance(middle) < 0.75;
+    let n = RUNS as f64;
+    let scatter = |i: usize| {
+        let mean = runs.iter().map(|run| run.total(i).as_dvec3()).sum::<glam::DVec3>() / n;
+        runs.iter().map(|run| (run.total(i).as_dvec3() - mean).length_squared() / 3.0).sum::<f64>() / (n - 1.0)
+    };
+    // All runs start from the same map: its noise is stated, too, and no part of the scatter.
+    let stated = |i: usize| runs.iter().map(|run| f64::from(run.variance[i] - carried.variance[i])).sum::<f64>() / n;
+    let found = area_mean(after, region, |i| glam::DVec3::splat(scatter(i)));
+    let claimed = area_mean(after, region, |i| glam::DVec3::splat(stated(i)));
+    let ratio = (claimed / found).sqrt();
+    assert!((0.67..1.5).contains(&ratio), "stated over found: {ratio:.3}");
+}
