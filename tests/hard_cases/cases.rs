@@ -122,7 +122,7 @@ fn lamps() -> Vec<HardCase> {
         case("- the only lamp", world(room_objects(0.7), 0.15), remove("lamp")),
         case("+ lamp larger than the one there", world(room_objects(0.7), 0.15), insert(panel)),
         case(
-            "+ half a lantern around the lamp",
+            "+ box 5 cm below a lamp of a square millimetre",
             lit_by_spark(),
             insert(lantern(Vec3::new(1.3, 0.9, 1.3), Vec3::new(1.7, 1.15, 1.7))),
         ),

@@ -331,6 +331,7 @@ impl State {
         if let Some((job, next)) = next
             && let Some(handle) = self.handles.get(&running)
             && job.is_in_line()
+            && !handle.spec.dragged.is_empty()
             && handle.spec.dragged.iter().all(|light| next.spec.dragged.contains(light))
         {
             handle.stop.supersede();

@@ -123,7 +123,6 @@ fn light_step(
         return Ok(map);
     };
     scene.earlier.remember(&transition.before, &map);
-    let shortcut = scene.earlier.shortcut(&map, transition, &step.edits);
     if let Some(known) = scene.earlier.recall(&transition.after) {
         let known = lengthened(&known, step.slots);
         let lit = if step.relights() { with_layers_of(known, &map, &transition.after.scene) } else { known };
@@ -136,6 +135,7 @@ fn light_step(
     if observer.drags {
         first_frame(observer, scene, transition, &map, spec.seed);
     }
+    let shortcut = scene.earlier.shortcut(&map, transition, &step.edits);
     let (transition, map, edits) = match &shortcut {
         Some(shortcut) => (&shortcut.transition, &shortcut.map, &shortcut.edits),
         None => (transition, &map, &step.edits),

@@ -87,19 +87,23 @@ impl Earlier {
         transition: &Transition,
         edits: &[Edit],
     ) -> Option<Shortcut> {
-        let states = self.lock();
-        let base = states.base.as_ref().filter(|base| base.present.as_ptr() == Arc::as_ptr(present))?;
         if !edits.iter().all(|edit| matches!(edit, Edit::Move { .. } | Edit::Material { .. })) {
             return None;
         }
-        let fewer = merge::simplify(base.edits.iter().chain(edits).cloned());
-        if fewer.is_empty() || fewer.len() > merge::count(&base.edits) {
-            return None;
-        }
-        let straight = base.world.apply(&fewer).ok()?;
+        // Worlds take long to change: not under the lock.
+        let (world, map, fewer) = {
+            let states = self.lock();
+            let base = states.base.as_ref().filter(|base| base.present.as_ptr() == Arc::as_ptr(present))?;
+            let fewer = merge::simplify(base.edits.iter().chain(edits).cloned());
+            if fewer.is_empty() || fewer.len() > merge::count(&base.edits) {
+                return None;
+            }
+            (base.world.clone(), base.map.clone(), fewer)
+        };
+        let straight = world.apply(&fewer).ok()?;
         // Clients know the slots of the present map.
         have_same_slots(&straight.after, &transition.after).then_some(())?;
-        Some(Shortcut { transition: Arc::new(straight), map: base.map.clone(), edits: fewer.into() })
+        Some(Shortcut { transition: Arc::new(straight), map, edits: fewer.into() })
     }
 
     /// Bytes of the maps that are kept, without the layers that they share with each other and with `shown`.
