@@ -11,18 +11,15 @@ use crate::focus::Focus;
 use crate::job::{Budget, Canceled, Observer, Pass};
 use crate::layers::{Computed, Header, Stack, groups_of, weights_of, weights_within, with_layers};
 use crate::lightmap::LightMap;
-use crate::random::{Pcg32, subseed};
+use crate::random::subseed;
 use crate::rounds::{Estimate, First, Goal, Phase, Round, Rounds};
-use crate::solve::{Exchange, Rows, Source, Subset};
+use crate::solve::{Exchange, Rows, Subset};
 use crate::transport::direct::direct_of;
-use crate::transport::{Effort, Field, Rough, Surfel, Value, Work, gather};
+use crate::transport::{Effort, Field, Hint, Value, Work, gather};
 use crate::world::World;
 
 /// Samples per representative and round: at least, at most.
 const SOLVE_SAMPLES: (u32, u32) = (16, 64);
-
-/// Samples of direct light that tell where it is rough.
-const ROUGH_SAMPLES: u32 = 4;
 
 /// Bakes a light map. Progressive: the observer gets a snapshot after every round. Ends by the budget or when the
 /// observer plans no further round; the same inputs, seed and plan give the same bits. Groups of lights
@@ -108,7 +105,7 @@ pub(crate) struct Baker<'a> {
     slots: Vec<u32>,
     subset: Subset,
     rows: Arc<Rows>,
-    rough: OnceCell<Rough>,
+    hint: OnceCell<Hint>,
     /// What each layer weighs in the whole.
     weights: &'a [Vec3],
     seed: u64,
@@ -119,7 +116,7 @@ impl<'a> Baker<'a> {
     pub(crate) fn new(world: &'a World, weights: &'a [Vec3], seed: u64, work: &'a Work<'a>) -> Baker<'a> {
         let subset = Subset::new(world);
         let (slots, rows) = (world.computed_slots(), Arc::new(Rows::all(&subset)));
-        Baker { world, slots, subset, rows, rough: OnceCell::new(), weights, seed: subseed(seed, 0x4006), work }
+        Baker { world, slots, subset, rows, hint: OnceCell::new(), weights, seed: subseed(seed, 0x4006), work }
     }
 
     /// The mean of all rounds.
@@ -176,9 +173,18 @@ impl<'a> Baker<'a> {
         world.validity.fill(&mut filled_direct);
         let (exchange, bounces) = self.solve(&filled_direct, round)?;
         let total: Vec<V> = filled_direct.par_iter().zip(&bounces).map(|(d, b)| *d + *b).collect();
-        let field = Field { total: &total, direct: &filled_direct, rough: self.rough::<V>()? };
+        let hint = self.hint::<V>()?;
+        let field = Field { total: &total, direct: &filled_direct, rough: &hint.rough };
         (round.begin)(Pass::FinalGather, 0.4);
-        let found = gather(world, &field, gathered, round.samples, &effort, round.seed, work)?;
+        let found = gather(
+            world,
+            &field.source(world, hint.spots.as_ref()),
+            gathered,
+            round.samples,
+            &effort,
+            round.seed,
+            work,
+        )?;
         let mut indirect = vec![V::default(); world.slots()];
         self.slots.iter().for_each(|&slot| indirect[slot as usize] = bounces[slot as usize]);
         gathered.iter().zip(&found).for_each(|(&slot, light)| indirect[slot as usize] = *light);
@@ -194,11 +200,9 @@ impl<'a> Baker<'a> {
     /// All bounces of the direct light, on the subset and interpolated to all slots.
     fn solve<V: Value>(&self, direct: &[V], round: &Round<V>) -> Result<(Exchange<V>, Vec<V>), Canceled> {
         let world = self.world;
-        let field = Field { total: direct, direct, rough: self.rough::<V>()? };
-        let source = |_: u32, s: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64| {
-            field.at(world, s, near, rng, rays) * s.albedo
-        };
-        let source = Source { radiance: source, sky: world.emitters.sky() };
+        let hint = self.hint::<V>()?;
+        let field = Field { total: direct, direct, rough: &hint.rough };
+        let source = field.source(world, hint.spots.as_ref());
         let samples = round.samples.clamp(SOLVE_SAMPLES.0, SOLVE_SAMPLES.1);
         let seed = subseed(round.seed, 0x50);
         let exchange = Exchange::trace(world, &self.subset, &self.rows, &source, samples, seed, self.work)?;
@@ -212,15 +216,13 @@ impl<'a> Baker<'a> {
         field
     }
 
-    /// Where direct light is not to be looked up, judged once, by samples of its own.
-    fn rough<V: Value>(&self) -> Result<&Rough, Canceled> {
-        if let Some(rough) = self.rough.get() {
-            return Ok(rough);
+    /// What is known of direct light beforehand, judged once.
+    fn hint<V: Value>(&self) -> Result<&Hint, Canceled> {
+        if let Some(hint) = self.hint.get() {
+            return Ok(hint);
         }
-        let mut direct: Vec<V> =
-            self.scatter(&direct_of(self.world, &self.slots, ROUGH_SAMPLES, &Effort::default(), self.seed, self.work)?);
-        self.world.validity.fill(&mut direct);
-        Ok(self.rough.get_or_init(|| Rough::new(self.world, &direct, self.weights)))
+        let hint = Hint::new::<V>(self.world, &self.slots, self.weights, self.seed, self.work)?;
+        Ok(self.hint.get_or_init(|| hint))
     }
 
     fn scatter<V: Value>(&self, values: &[V]) -> Vec<V> {

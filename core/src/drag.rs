@@ -15,9 +15,9 @@ use crate::job::{Canceled, Observer};
 use crate::layers::{Header, Layer, moved_layers, whole_of};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
-use crate::solve::{Exchange, Rows, Source, Subset};
+use crate::solve::{Exchange, Rows, Subset};
 use crate::transport::direct::direct_of;
-use crate::transport::{Effort, Surfel, Work};
+use crate::transport::{Effort, Source, Surfel, Work};
 use crate::world::{Geometry, Part, Transition, World};
 
 /// Paths per representative.
@@ -48,7 +48,7 @@ impl DragBasis {
         let subset = Subset::new(world);
         let rows = Arc::new(Rows::all(&subset));
         let dark = |_: u32, _: &Surfel, _: bool, _: &mut crate::random::Pcg32, _: &mut u64| Vec3::ZERO;
-        let source = Source { radiance: dark, sky: Vec3::ZERO };
+        let source = Source { radiance: dark, sky: Vec3::ZERO, spots: None };
         let work = Work::new(observer);
         let exchange = Exchange::trace(world, &subset, &rows, &source, PATHS, subseed(seed, 0xd4a6), &work)?;
         let (geometry, parts) = (Arc::clone(&world.geometry), Arc::clone(&world.parts));

@@ -10,7 +10,7 @@ use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
 use crate::scene::LightKind;
 use crate::transport::direct::{one_light, visible_weight};
-use crate::transport::{Field, Rough, Surfel, incoming_light};
+use crate::transport::{Field, Rough, Surfel};
 use crate::world::World;
 
 /// Backs that a camera ray passes through at most.
@@ -104,9 +104,9 @@ impl<'a> Shading<'a> {
         }
         let rough = Rough::default();
         let field = Field { total: &self.totals, direct: &self.totals, rough: &rough };
-        let origin = surfel.position + surfel.normal * self.world.epsilon;
+        let from = (surfel.position + surfel.normal * self.world.epsilon, surfel.normal);
         let direction = cosine_hemisphere(surfel.normal, rng.next_2d());
-        incoming_light(self.world, &field, origin, direction, rng, &mut 0)
+        field.source(self.world, None).along(self.world, u32::MAX, from, direction, 0.0, rng, &mut 0).0
     }
 }
 

@@ -14,7 +14,7 @@ use super::{Subset, gmres};
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
-use crate::transport::{End, Surfel, Value, Work, walk};
+use crate::transport::{End, Radiance, Source, Value, Work};
 use crate::world::World;
 
 /// Residual of the solve, relative to its source.
@@ -34,16 +34,6 @@ struct Entry {
     element: u32,
     /// Product of the albedos on the way.
     weight: Vec3,
-}
-
-/// What sends light into a system.
-pub(crate) struct Source<F, V> {
-    /// `radiance(slot, surfel, near, rng, rays)` is what a surface sends to a point of element `slot` (or of an object
-    /// without elements, `u32::MAX`); near ones are not to be looked up where the light there can be had otherwise. It
-    /// may differ by receiver.
-    pub radiance: F,
-    /// What paths bring that leave the scene behind near surfaces.
-    pub sky: V,
 }
 
 /// The representatives that a matrix is over.
@@ -89,11 +79,11 @@ pub(crate) struct Exchange<V> {
 
 impl<V: Value> Exchange<V> {
     /// Traces `samples` paths from every row, to the first surface that can be looked up (near-field rule).
-    pub(crate) fn trace<F: Fn(u32, &Surfel, bool, &mut Pcg32, &mut u64) -> V + Sync>(
+    pub(crate) fn trace(
         world: &World,
         subset: &Subset,
         rows: &Arc<Rows>,
-        source: &Source<F, V>,
+        source: &Source<impl Radiance<V>, V>,
         samples: u32,
         seed: u64,
         work: &Work,
@@ -156,36 +146,35 @@ impl<V: Value> Exchange<V> {
 }
 
 #[expect(clippy::too_many_arguments, reason = "a private step of one loop")]
-fn trace_row<V: Value, F: Fn(u32, &Surfel, bool, &mut Pcg32, &mut u64) -> V>(
+fn trace_row<V: Value>(
     world: &World,
     subset: &Subset,
     rows: &Rows,
     slot: u32,
-    source: &Source<F, V>,
+    source: &Source<impl Radiance<V>, V>,
     entries: &mut [Entry],
     seed: u64,
     rays: &mut u64,
 ) -> V {
-    let (origin, n) = world.ray_origin(slot as usize);
+    let from = world.ray_origin(slot as usize);
     let mut rng = Pcg32::new(seed, u64::from(slot));
     let sequence = R2::new(&mut rng);
+    let aims = source.aims(entries.len() as u32);
+    let ratio = aims as f32 / entries.len() as f32;
     let mut sum = V::default();
     for (k, entry) in entries.iter_mut().enumerate() {
-        let direction = cosine_hemisphere(n, sequence.get(k as u32));
-        let mut receiver = slot;
-        let end = walk(world, origin, direction, &mut rng, rays, |surfel, weight, near, rng, rays| {
-            sum += (source.radiance)(receiver, surfel, near, rng, rays) * weight;
-            receiver = surfel.nearest_element();
-        });
-        match end {
-            End::Landed(surfel, weight) => {
-                let u = [rng.next_f32(), rng.next_f32(), rng.next_f32()];
-                let row = subset.sample(world, &surfel, u).map_or(NONE, |r| rows.row(r));
-                *entry = Entry { row, element: surfel.element_by_weight(u[0]), weight };
-            }
-            End::Escaped(weight) => sum += source.sky * weight,
-            End::Absorbed => {}
+        let direction = cosine_hemisphere(from.1, sequence.get(k as u32));
+        let (light, end) = source.along(world, slot, from, direction, ratio, &mut rng, rays);
+        sum += light;
+        if let End::Landed(surfel, weight) = end {
+            let u = [rng.next_f32(), rng.next_f32(), rng.next_f32()];
+            let row = subset.sample(world, &surfel, u).map_or(NONE, |r| rows.row(r));
+            *entry = Entry { row, element: surfel.element_by_weight(u[0]), weight };
         }
+    }
+    let sequence = R2::new(&mut rng);
+    for k in 0..aims {
+        sum += source.aimed(world, slot, from, sequence.get(k), ratio, &mut rng, rays);
     }
     sum / entries.len() as f32
 }

@@ -1,6 +1,7 @@
 //! G: the mean of incoming radiance over cosine-distributed rays, per element.
 
-use super::{Canceled, Effort, Field, Value, Work, incoming_light};
+use super::incoming::{Radiance, Source};
+use super::{Canceled, Effort, Value, Work};
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
 use crate::world::World;
@@ -8,7 +9,7 @@ use crate::world::World;
 /// Gathers a light map with the near-field rule: reflected light only. `samples` per element, times its effort.
 pub(crate) fn gather<V: Value>(
     world: &World,
-    field: &Field<V>,
+    source: &Source<impl Radiance<V>, V>,
     slots: &[u32],
     samples: u32,
     effort: &Effort,
@@ -17,14 +18,20 @@ pub(crate) fn gather<V: Value>(
 ) -> Result<Vec<V>, Canceled> {
     let seed = subseed(seed, 0x6a);
     work.map(slots, |_, slot, rays| {
-        let (origin, n) = world.ray_origin(slot as usize);
+        let from = world.ray_origin(slot as usize);
         let mut rng = Pcg32::new(seed, u64::from(slot));
         let samples = effort.samples(slot, samples);
         let sequence = R2::new(&mut rng);
+        let aims = source.aims(samples);
+        let ratio = aims as f32 / samples as f32;
         let mut sum = V::default();
         for k in 0..samples {
-            let direction = cosine_hemisphere(n, sequence.get(k));
-            sum += incoming_light(world, field, origin, direction, &mut rng, rays);
+            let direction = cosine_hemisphere(from.1, sequence.get(k));
+            sum += source.along(world, slot, from, direction, ratio, &mut rng, rays).0;
+        }
+        let sequence = R2::new(&mut rng);
+        for k in 0..aims {
+            sum += source.aimed(world, slot, from, sequence.get(k), ratio, &mut rng, rays);
         }
         sum / samples as f32
     })

@@ -6,6 +6,9 @@
 pub(crate) mod direct;
 mod effort;
 mod gather;
+mod hint;
+mod incoming;
+mod spots;
 mod surfel;
 mod value;
 mod walk;
@@ -13,9 +16,12 @@ mod walk;
 pub(crate) use direct::DirectLight;
 pub(crate) use effort::Effort;
 pub(crate) use gather::gather;
+pub(crate) use hint::Hint;
+pub(crate) use incoming::{Radiance, Source};
+pub(crate) use spots::{Spots, Target};
 pub(crate) use surfel::Surfel;
 pub(crate) use value::{Layered, Value, Wide};
-pub(crate) use walk::{End, Field, Rough, incoming_light, walk};
+pub(crate) use walk::{End, Field, Rough, walk};
 
 use std::sync::atomic::{AtomicU64, Ordering};
 

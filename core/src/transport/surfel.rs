@@ -19,6 +19,8 @@ pub(crate) struct Surfel {
     pub part: u32,
     /// Its triangle's slot.
     pub triangle: u32,
+    /// The ray met the triangle's back.
+    pub is_back: bool,
     /// Element slots of the corners on that side; none where there are none that know the light of this point.
     pub elements: Option<[u32; 3]>,
     /// Weights of the corners, sum 1.
@@ -46,6 +48,7 @@ impl Surfel {
             albedo: part.albedo,
             part: record.part(),
             triangle: hit.triangle,
+            is_back: back,
             elements,
             weights: [1.0 - hit.u - hit.v, hit.u, hit.v],
         })

@@ -6,7 +6,8 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::direct::one_light;
-use super::{Surfel, Value};
+use super::incoming::{Radiance, Source};
+use super::{Spots, Surfel, Value};
 use crate::bvh::Ray;
 use crate::random::Pcg32;
 use crate::sampling::cosine_hemisphere;
@@ -49,7 +50,6 @@ pub(crate) fn walk(
     rays: &mut u64,
     mut visit: impl FnMut(&Surfel, Vec3, bool, &mut Pcg32, &mut u64),
 ) -> End {
-    let near = NEAR * world.spacing();
     let mut ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
     let mut weight = Vec3::ONE;
     for depth in 0..MAX_DEPTH {
@@ -60,14 +60,7 @@ pub(crate) fn walk(
         let Some(surfel) = Surfel::to_look_up(world, &ray, &hit, rays) else { return End::Absorbed };
         let is_near = match surfel.elements {
             None => true,
-            // A fine mesh can be trusted from nearer.
-            Some(elements) => {
-                let area = |e: u32| world.geometry.areas[e as usize];
-                depth < NEAR_DEPTH
-                    && hit.t < near
-                    && hit.t * hit.t
-                        < NEAR * NEAR * AREA_TO_SPACING * elements.map(area).into_iter().fold(0.0, f32::max)
-            }
+            Some(elements) => depth < NEAR_DEPTH && is_near(world, elements, hit.t * hit.t),
         };
         visit(&surfel, weight, is_near, rng, rays);
         weight *= surfel.albedo;
@@ -88,6 +81,15 @@ pub(crate) fn walk(
         ray.direction = cosine_hemisphere(surfel.normal, rng.next_2d());
     }
     End::Absorbed
+}
+
+/// Whether elements are not to be looked up from a distance, given as its square.
+#[inline]
+pub(crate) fn is_near(world: &World, elements: [u32; 3], distance2: f32) -> bool {
+    // A fine mesh can be trusted from nearer.
+    let area = elements.map(|e| world.geometry.areas[e as usize]).into_iter().fold(0.0, f32::max);
+    let near = NEAR * world.spacing();
+    distance2 < near * near && distance2 < NEAR * NEAR * AREA_TO_SPACING * area
 }
 
 /// Light to look up where paths land, irradiance / π per slot.
@@ -128,7 +130,7 @@ impl Rough {
     }
 
     #[inline]
-    fn contains(&self, triangle: u32) -> bool {
+    pub(crate) fn contains(&self, triangle: u32) -> bool {
         self.triangles.get(triangle as usize).copied().unwrap_or(false)
     }
 }
@@ -146,26 +148,14 @@ impl<V: Value> Field<'_, V> {
         }
         total
     }
-}
 
-/// Reflected radiance that arrives at `origin` from `direction`. What lights send there directly is not in it.
-#[inline]
-pub(crate) fn incoming_light<V: Value>(
-    world: &World,
-    field: &Field<V>,
-    origin: Vec3,
-    direction: Vec3,
-    rng: &mut Pcg32,
-    rays: &mut u64,
-) -> V {
-    let mut radiance = V::default();
-    let end = walk(world, origin, direction, rng, rays, |surfel, weight, near, rng, rays| {
-        radiance += field.at(world, surfel, near, rng, rays) * (weight * surfel.albedo);
-    });
-    if let End::Escaped(weight) = end {
-        radiance += world.emitters.sky::<V>() * weight;
+    /// Reflected light and the sky. What lights send straight to a point is not in it.
+    pub(crate) fn source<'a>(&'a self, world: &'a World, spots: Option<&'a Spots>) -> Source<'a, impl Radiance<V>, V> {
+        let radiance = move |_: u32, surfel: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64| {
+            self.at(world, surfel, near, rng, rays) * surfel.albedo
+        };
+        Source { radiance, sky: world.emitters.sky(), spots }
     }
-    radiance
 }
 
 /// Light that a surface gets straight from one of the lights, irradiance / π; the sky's is where a path escapes.

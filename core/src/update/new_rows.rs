@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use super::updater::Updater;
 use crate::job::Canceled;
-use crate::random::{Pcg32, subseed};
+use crate::random::subseed;
 use crate::rounds::Round;
-use crate::solve::{Exchange, Rows, Source};
+use crate::solve::{Exchange, Rows};
 use crate::transport::direct::direct_of;
-use crate::transport::{Effort, Field, Rough, Surfel, Value, gather};
+use crate::transport::{Effort, Field, Rough, Spots, Value, gather};
 
 /// Samples of new rows per sample of the others: they have no old map to lean on (design, section 3.8 c).
 const NEW_ROW_SAMPLES: u32 = 4;
@@ -40,8 +40,10 @@ impl<V: Value> Updater<'_, V> {
         }
         self.transition.new_rows.iter().for_each(|&slot| field[slot as usize] = direct[slot as usize]);
         world.validity.fill(&mut field);
+        let spots = Spots::of_map(world, &field, self.stage.weights);
+        let spots = spots.as_ref();
         match known {
-            None => self.self_passes(round.seed, &own_direct, &mut field)?,
+            None => self.self_passes(round.seed, &own_direct, spots, &mut field)?,
             Some(known) => {
                 let all = &self.transition.new_rows;
                 all.iter().for_each(|&slot| field[slot as usize] += known[slot as usize]);
@@ -49,24 +51,22 @@ impl<V: Value> Updater<'_, V> {
         }
         let rough = Rough::default();
         let light = Field { total: &field, direct: &field, rough: &rough };
-        let gathered = gather(world, &light, rows, samples, &nominal, subseed(round.seed, 0x0b), work)?;
+        let gathered =
+            gather(world, &light.source(world, spots), rows, samples, &nominal, subseed(round.seed, 0x0b), work)?;
         rows.iter().zip(gathered).for_each(|(&slot, i)| indirect[slot as usize] = i);
         Ok(())
     }
 
     /// All bounces among the new rows, on their subset: what they gather of the light around them, and of one another.
-    fn self_passes(&self, seed: u64, own_direct: &[V], field: &mut [V]) -> Result<(), Canceled> {
+    fn self_passes(&self, seed: u64, own_direct: &[V], spots: Option<&Spots>, field: &mut [V]) -> Result<(), Canceled> {
         let (world, slots) = (self.world, &self.transition.new_rows);
         let is_new = self.new_flags();
         let rows = Arc::new(Rows::only(&self.subset, |slot| is_new[slot as usize]));
         let rough = Rough::default();
         let light = Field { total: field, direct: field, rough: &rough };
-        let source = |_: u32, s: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64| {
-            light.at(world, s, near, rng, rays) * s.albedo
-        };
-        let source = Source { radiance: source, sky: world.emitters.sky() };
         let seed = subseed(seed, 0x5e1f);
-        let exchange = Exchange::trace(world, &self.subset, &rows, &source, SELF_SAMPLES, seed, self.work)?;
+        let exchange =
+            Exchange::trace(world, &self.subset, &rows, &light.source(world, spots), SELF_SAMPLES, seed, self.work)?;
         let values = exchange.to_representatives(&self.subset, &exchange.all_bounces(&exchange.first));
         let spread = self.subset.interpolate(&values);
         for (&slot, d) in slots.iter().zip(own_direct) {

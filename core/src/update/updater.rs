@@ -11,8 +11,8 @@ use crate::job::{Canceled, Pass};
 use crate::layers::Stack;
 use crate::random::{Pcg32, subseed};
 use crate::rounds::{Estimate, First, Round};
-use crate::solve::{Exchange, Rows, Source, Subset};
-use crate::transport::{Surfel, Value, Work};
+use crate::solve::{Exchange, Rows, Subset};
+use crate::transport::{Source, Spots, Surfel, Value, Work};
 use crate::world::{Transition, World};
 
 /// Samples of the propagation per representative and round: at least, at most.
@@ -233,7 +233,8 @@ impl<'a, V: Value> Updater<'a, V> {
             }
             change + s.interpolate(elements, old_total) * repaint[s.part as usize]
         };
-        let source = Source { radiance: change, sky: V::default() };
+        let spots = Spots::of_map(world, &seen_by_old, self.stage.weights);
+        let source = Source { radiance: change, sky: V::default(), spots: spots.as_ref() };
         let samples = (round.samples * 2).clamp(PROPAGATION_SAMPLES.0, PROPAGATION_SAMPLES.1);
         let samples = (f64::from(samples) * self.weight_of(&seen_by_old)).ceil() as u32;
         let seed = subseed(round.seed, 0x9409);

@@ -1,0 +1,61 @@
+//! What is known of direct light before a bake gathers it: where it must not be looked up, and where much of it is.
+
+use glam::Vec3;
+
+use super::direct::{direct_of, one_light};
+use super::{Canceled, Effort, Rough, Spots, Target, Value, Work};
+use crate::random::{Pcg32, R2, subseed};
+use crate::world::World;
+
+/// Samples of direct light per element.
+const SAMPLES: u32 = 4;
+
+/// And within a triangle over which it is rough: a lamp near by lights a point between its corners.
+const PROBES: u32 = 8;
+
+/// From samples that nothing else uses: a choice must not know the noise of what it chooses between.
+pub(crate) struct Hint {
+    pub rough: Rough,
+    pub spots: Option<Spots>,
+}
+
+impl Hint {
+    pub(crate) fn new<V: Value>(
+        world: &World,
+        slots: &[u32],
+        weights: &[Vec3],
+        seed: u64,
+        work: &Work,
+    ) -> Result<Hint, Canceled> {
+        let found: Vec<V> = direct_of(world, slots, SAMPLES, &Effort::default(), seed, work)?;
+        let mut direct = vec![V::default(); world.slots()];
+        slots.iter().zip(&found).for_each(|(&slot, light)| direct[slot as usize] = *light);
+        world.validity.fill(&mut direct);
+        let rough = Rough::new(world, &direct, weights);
+        let radiance = |target: &Target| {
+            let corners = target.elements.map(|e| direct[e as usize].weighted(weights));
+            let mean = corners.into_iter().sum::<Vec3>() / 3.0;
+            let light = if rough.contains(target.triangle) {
+                mean.max(probe::<V>(world, target, seed, work).weighted(weights))
+            } else {
+                mean
+            };
+            (light * target.albedo).element_sum()
+        };
+        let spots = Spots::new(world, radiance);
+        Ok(Hint { rough, spots })
+    }
+}
+
+/// Mean direct light over one side of a triangle.
+fn probe<V: Value>(world: &World, target: &Target, seed: u64, work: &Work) -> V {
+    let mut rng = Pcg32::new(subseed(seed, 0x9b), 2 * u64::from(target.triangle) + u64::from(target.back));
+    let (sequence, mut rays) = (R2::new(&mut rng), 0);
+    let sample = |k| {
+        let (point, n) = target.point(sequence.get(k));
+        one_light::<V>(world, point + n * world.epsilon, n, &mut rng, &mut rays)
+    };
+    let sum: V = (0..PROBES).map(sample).sum();
+    work.count(rays);
+    sum / PROBES as f32
+}

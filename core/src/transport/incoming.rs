@@ -1,0 +1,96 @@
+//! Light that arrives at a point along one direction.
+
+use glam::Vec3;
+
+use super::spots::From;
+use super::walk::is_near;
+use super::{End, Spots, Surfel, Value, walk};
+use crate::bvh::Ray;
+use crate::random::Pcg32;
+use crate::world::World;
+
+/// Directions drawn by the cosine for each one that is aimed at a spot.
+const COSINES_PER_AIM: u32 = 4;
+
+/// What a surface sends to a point: `f(receiver, surfel, near, rng, rays)`. The receiver is an element slot, or `u32::MAX`
+/// where an object has no elements; near surfaces are not to be looked up where their light can be had otherwise.
+pub(crate) trait Radiance<V>: Fn(u32, &Surfel, bool, &mut Pcg32, &mut u64) -> V + Sync {}
+
+impl<V, F: Fn(u32, &Surfel, bool, &mut Pcg32, &mut u64) -> V + Sync> Radiance<V> for F {}
+
+/// What sends light.
+pub(crate) struct Source<'a, F, V> {
+    /// Of surfaces.
+    pub radiance: F,
+    /// What paths bring that leave the scene behind near surfaces.
+    pub sky: V,
+    /// Where much of it comes from.
+    pub spots: Option<&'a Spots>,
+}
+
+impl<V: Value, F: Radiance<V>> Source<'_, F, V> {
+    /// How many directions are to be aimed at spots along with so many that are drawn by the cosine.
+    pub(crate) fn aims(&self, samples: u32) -> u32 {
+        if self.spots.is_some() { samples.div_ceil(COSINES_PER_AIM) } else { 0 }
+    }
+
+    /// What arrives at a point of the element `receiver` from a direction drawn by the cosine, where `ratio` times as
+    /// many are [`Source::aimed`], and how the path ended.
+    #[inline]
+    #[expect(clippy::too_many_arguments, reason = "the inner loop of all gathers")]
+    pub(crate) fn along(
+        &self,
+        world: &World,
+        mut receiver: u32,
+        mut from: From,
+        direction: Vec3,
+        mut ratio: f32,
+        rng: &mut Pcg32,
+        rays: &mut u64,
+    ) -> (V, End) {
+        let mut light = V::default();
+        let end = walk(world, from.0, direction, rng, rays, |surfel, weight, near, rng, rays| {
+            let met = (self.radiance)(receiver, surfel, near, rng, rays);
+            receiver = surfel.nearest_element();
+            let Some(spots) = self.spots else { return light += met * weight };
+            light += met * (weight * spots.share(world, from, surfel, ratio));
+            if near {
+                (from, ratio) = ((surfel.position + surfel.normal * world.epsilon, surfel.normal), 1.0);
+                light += self.aimed(world, receiver, from, rng.next_2d(), ratio, rng, rays) * (weight * surfel.albedo);
+            }
+        });
+        if let End::Escaped(weight) = end {
+            light += self.sky * weight;
+        }
+        (light, end)
+    }
+
+    /// What arrives from a spot that two numbers in [0, 1) choose, per direction drawn by the cosine.
+    #[inline]
+    #[expect(clippy::too_many_arguments, reason = "the inner loop of all gathers")]
+    pub(crate) fn aimed(
+        &self,
+        world: &World,
+        receiver: u32,
+        from: From,
+        u: [f32; 2],
+        ratio: f32,
+        rng: &mut Pcg32,
+        rays: &mut u64,
+    ) -> V {
+        let Some(spots) = self.spots else { return V::default() };
+        let Some((direction, triangle)) = spots.aim(from, u) else { return V::default() };
+        *rays += 1;
+        let ray = Ray { origin: from.0, direction, t_min: 0.0, t_max: f32::INFINITY };
+        let Some(hit) = world.trees.closest_hit(&ray).filter(|hit| hit.triangle == triangle) else {
+            return V::default();
+        };
+        let Some(surfel) = Surfel::to_look_up(world, &ray, &hit, rays) else { return V::default() };
+        match surfel.elements {
+            Some(elements) if !is_near(world, elements, hit.t * hit.t) => {
+                (self.radiance)(receiver, &surfel, false, rng, rays) * spots.share(world, from, &surfel, ratio)
+            }
+            _ => V::default(),
+        }
+    }
+}

@@ -1,0 +1,272 @@
+//! Bright spots: few triangles that send out much of all light, such as what a lamp near a wall, or the sun through a
+//! window, lights. Directions towards them are sampled along with those by the cosine, which seldom find them, and both are
+//! combined by the balance heuristic (Veach and Guibas 1995; design, section 3.4). The light of an update is a change and
+//! its spots may be dark ones.
+
+use std::f32::consts::PI;
+use std::sync::Arc;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::walk::is_near;
+use super::{Surfel, Value};
+use crate::sampling::{Discrete, uniform_barycentrics};
+use crate::world::{Placed, World};
+
+/// Radiance over the mean one from which on a triangle belongs to a spot.
+const BRIGHT: f64 = 8.0;
+
+/// Part of all squared radiance from which on spots are worth directions of their own.
+const WORTHWHILE: f64 = 0.5;
+
+/// The same where an update is concerned: changes of furniture have .92 to .98, and there it does not pay.
+const EXTREME: f64 = 0.98;
+
+/// Where to aim.
+#[derive(Clone, Debug)]
+pub(crate) struct Spots {
+    targets: Vec<Target>,
+    /// By power.
+    choice: Discrete,
+    /// Per triangle slot, front and back: density of aimed points, 1/m²; zero off all spots.
+    densities: Vec<[f32; 2]>,
+}
+
+/// One side of a triangle.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Target {
+    /// Slot of the triangle.
+    pub triangle: u32,
+    /// Its back is meant.
+    pub back: bool,
+    /// Counter-clockwise from the front.
+    pub corners: [Vec3; 3],
+    /// Element slots of the corners, on this side.
+    pub elements: [u32; 3],
+    /// Diffuse albedo.
+    pub albedo: Vec3,
+}
+
+impl Target {
+    /// A point and the normal on this side there, from two numbers in [0, 1).
+    #[inline]
+    pub(crate) fn point(&self, u: [f32; 2]) -> From {
+        let [a, b, c] = self.corners;
+        let (b1, b2) = uniform_barycentrics(u);
+        let n = (b - a).cross(c - a).normalize_or_zero();
+        (a + (b - a) * b1 + (c - a) * b2, if self.back { -n } else { n })
+    }
+}
+
+/// Where a path begins: a point and its unit normal.
+pub(crate) type From = (Vec3, Vec3);
+
+impl Spots {
+    /// The spots of light sent out; `radiance(side)` tells its amount. None where there are none worth it.
+    pub(crate) fn new(world: &World, radiance: impl Fn(&Target) -> f32 + Sync) -> Option<Spots> {
+        let sides = sides(world, radiance);
+        let amounts = || sides.iter().map(|side| (side.area, side.radiance));
+        (share_of_bright(amounts) > WORTHWHILE).then_some(())?;
+        let limit = limit(amounts());
+        let is_bright = |side: &&Side| side.radiance > limit;
+        let spots: Vec<&Side> = sides.iter().filter(is_bright).collect();
+        let choice = Discrete::new(spots.iter().map(|s| s.area * s.radiance))?;
+        let mut densities = vec![[0.0; 2]; world.geometry.triangles.len()];
+        for (k, s) in spots.iter().enumerate() {
+            densities[s.target.triangle as usize][usize::from(s.target.back)] = choice.pdf(k) / s.area as f32;
+        }
+        Some(Spots { targets: spots.iter().map(|s| s.target).collect(), choice, densities })
+    }
+
+    /// The spots of a light map or of its change, irradiance / π per slot, by what each layer weighs: where nearly all of it
+    /// is in few places.
+    pub(crate) fn of_map<V: Value>(world: &World, light: &[V], weights: &[Vec3]) -> Option<Spots> {
+        let amount = |light: V| light.weighted(weights).abs();
+        let amounts: Vec<f32> = light.par_iter().with_min_len(4096).map(|l| amount(*l).element_sum()).collect();
+        let elements =
+            || world.areas().iter().zip(&amounts).map(|(area, amount)| (f64::from(*area), f64::from(*amount)));
+        (share_of_bright(elements) > EXTREME).then_some(())?;
+        Spots::new(world, |target| {
+            let mean = target.elements.map(|e| light[e as usize]).into_iter().sum::<V>() / 3.0;
+            (amount(mean) * target.albedo).element_sum()
+        })
+    }
+
+    /// A direction to a spot and the triangle to be met there; none where it is below a horizon.
+    #[inline]
+    pub(crate) fn aim(&self, (point, n): From, [u, v]: [f32; 2]) -> Option<(Vec3, u32)> {
+        let (index, u) = self.choice.sample(u);
+        let target = &self.targets[index];
+        let (there, normal) = target.point([u, v]);
+        let w = there - point;
+        (n.dot(w) > 0.0 && normal.dot(w) < 0.0).then(|| (w.normalize(), target.triangle))
+    }
+
+    /// How much of what a surface sends to a point counts where `ratio` directions are aimed for each drawn by the
+    /// cosine, whichever met it: the balance heuristic. All of it where none is aimed at.
+    #[inline]
+    pub(crate) fn share(&self, world: &World, (point, n): From, surfel: &Surfel, ratio: f32) -> f32 {
+        let density = self.densities[surfel.triangle as usize][usize::from(surfel.is_back)];
+        if density == 0.0 {
+            return 1.0;
+        }
+        let w = surfel.position - point;
+        let distance2 = w.length_squared();
+        // cos_there / distance² and cos_here / π, both times the distance.
+        let (here, there) = (n.dot(w), -surfel.normal.dot(w));
+        let is_near = || surfel.elements.is_none_or(|elements| is_near(world, elements, distance2));
+        if here <= 0.0 || there <= 0.0 || is_near() {
+            return 1.0;
+        }
+        1.0 / (1.0 + ratio * density * PI * distance2 * distance2 / (here * there))
+    }
+}
+
+/// Amount from which on a place is bright, of (area, amount) of all.
+fn limit(amounts: impl Iterator<Item = (f64, f64)>) -> f64 {
+    let (area, power) = amounts.fold((0.0, 0.0), |(area, power), (a, x)| (area + a, power + a * x));
+    BRIGHT * power / area
+}
+
+/// Part of Σ A x² that bright places have.
+fn share_of_bright<I: Iterator<Item = (f64, f64)>>(amounts: impl Fn() -> I) -> f64 {
+    let limit = limit(amounts());
+    let (all, bright) = amounts()
+        .fold((0.0, 0.0), |(all, bright), (a, x)| (all + a * x * x, bright + if x > limit { a * x * x } else { 0.0 }));
+    bright / all
+}
+
+/// What one side of a triangle sends out.
+struct Side {
+    target: Target,
+    /// m².
+    area: f64,
+    radiance: f64,
+}
+
+fn sides(world: &World, radiance: impl Fn(&Target) -> f32 + Sync) -> Vec<Side> {
+    let of_object = |placed: &Arc<Placed>| {
+        let vertices = &placed.surface.vertices;
+        let mut sides = Vec::new();
+        for (triangle, corners) in placed.placement.triangles.clone().zip(&placed.surface.triangles) {
+            let record = &world.geometry.triangles[triangle as usize];
+            let part = &world.parts[record.part() as usize];
+            let corners @ [a, b, c] = corners.map(|i| vertices[i as usize]);
+            let area = f64::from(0.5 * (b - a).cross(c - a).length());
+            let mut add = |back: bool, offset: u32| {
+                let elements = record.elements.map(|e| e + offset);
+                let target = Target { triangle, back, corners, elements, albedo: part.albedo };
+                sides.push(Side { area, radiance: f64::from(radiance(&target)), target });
+            };
+            if area > 0.0 {
+                add(false, 0);
+            }
+            if area > 0.0 && part.back_offset > 0 {
+                add(true, part.back_offset);
+            }
+        }
+        sides
+    };
+    world.placed.par_iter().flat_map_iter(of_object).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Pcg32;
+    use crate::sampling::cosine_hemisphere;
+    use crate::scene::{Material, Mesh, Object, Scene};
+    use crate::transport::{Field, Rough};
+    use crate::world::WorldOptions;
+
+    /// A closed room with a shelf in a corner: points there see it from near.
+    fn room() -> World {
+        let white = Material::diffuse(Vec3::splat(0.5));
+        let (x, y, z) = (Vec3::X * 2.0, Vec3::Y * 2.0, Vec3::Z * 2.0);
+        let walls = [(Vec3::ZERO, z, x), (y, x, z), (Vec3::ZERO, x, y), (z, y, x), (Vec3::ZERO, y, z), (x, z, y)];
+        let wall = |(k, (corner, u, v))| Object::new(format!("wall {k}"), Mesh::quad(corner, u, v), white);
+        let mut objects: Vec<Object> = walls.into_iter().enumerate().map(wall).collect();
+        objects.push(Object::new("shelf", Mesh::cuboid(Vec3::splat(1.7), Vec3::splat(1.9)), white));
+        let options = WorldOptions { spacing: Some(0.2), ..WorldOptions::default() };
+        World::new(Scene::from_objects(objects), &options).expect("a room")
+    }
+
+    /// Light in a round spot on the floor, and little elsewhere.
+    fn light(world: &World, there: f32) -> Vec<Vec3> {
+        let is_there = |p: Vec3| p.y < 0.01 && p.distance(Vec3::new(0.6, 0.0, 0.6)) < 0.3;
+        world.positions().iter().map(|p| Vec3::splat(if is_there(*p) { there } else { 1.0 })).collect()
+    }
+
+    /// Mean and variance of the mean of what arrives at a slot, from batches of `samples` directions.
+    fn arriving(world: &World, light: &[Vec3], spots: Option<&Spots>, slot: u32, samples: u32) -> (f64, f64) {
+        let rough = Rough::default();
+        let field = Field { total: light, direct: light, rough: &rough };
+        let source = field.source(world, spots);
+        let from = world.ray_origin(slot as usize);
+        let batch = |k: u64| {
+            let (mut rng, mut rays) = (Pcg32::new(7, 1000 * u64::from(slot) + k), 0);
+            let aims = source.aims(samples);
+            let ratio = aims as f32 / samples as f32;
+            let mut sum = Vec3::ZERO;
+            for _ in 0..samples {
+                let direction = cosine_hemisphere(from.1, rng.next_2d());
+                sum += source.along(world, slot, from, direction, ratio, &mut rng, &mut rays).0;
+            }
+            for _ in 0..aims {
+                sum += source.aimed(world, slot, from, rng.next_2d(), ratio, &mut rng, &mut rays);
+            }
+            f64::from(sum.x / samples as f32)
+        };
+        const BATCHES: u64 = 400;
+        let values: Vec<f64> = (0..BATCHES).into_par_iter().map(batch).collect();
+        let mean = values.iter().sum::<f64>() / BATCHES as f64;
+        let squares: f64 = values.iter().map(|v| (v - mean) * (v - mean)).sum();
+        (mean, squares / (BATCHES * (BATCHES - 1)) as f64)
+    }
+
+    /// Both techniques together have the mean of one of them, at points near and far, and less noise.
+    #[test]
+    fn aimed_directions_change_the_noise_and_nothing_else() {
+        let world = room();
+        let light = light(&world, 200.0);
+        let spots = Spots::of_map(&world, &light, &[Vec3::ONE]).expect("a spot");
+        let slots: Vec<u32> = world.computed_slots().into_iter().step_by(23).collect();
+        let (mut squares, mut with, mut without) = (0.0, 0.0, 0.0);
+        for &slot in &slots {
+            let a = arriving(&world, &light, Some(&spots), slot, 6);
+            let b = arriving(&world, &light, None, slot, 24);
+            let z = (a.0 - b.0) / (a.1 + b.1).sqrt().max(1e-9);
+            assert!(z.abs() < 5.0, "slot {slot}: {a:?} with, {b:?} without");
+            squares += z * z;
+            (with, without) = (with + a.1, without + b.1);
+        }
+        let n = slots.len() as f64;
+        assert!(n > 40.0 && (squares / n - 1.0).abs() < 5.0 * (2.0 / n).sqrt(), "{squares} over {n}");
+        // A quarter of the directions, less noise.
+        assert!(with < 0.6 * without, "{with} against {without}");
+    }
+
+    #[test]
+    fn even_light_has_no_spots() {
+        let world = room();
+        assert!(Spots::of_map(&world, &light(&world, 4.0), &[Vec3::ONE]).is_none());
+        assert!(Spots::of_map(&world, &light(&world, 0.0), &[Vec3::ZERO]).is_none());
+        // A change may be negative.
+        assert!(Spots::of_map(&world, &light(&world, -500.0), &[Vec3::ONE]).is_some());
+    }
+
+    /// As often as triangles are aimed at: the density that the balance heuristic knows.
+    #[test]
+    fn densities_are_those_of_the_points() {
+        let world = room();
+        let spots = Spots::of_map(&world, &light(&world, 200.0), &[Vec3::ONE]).expect("a spot");
+        let area = |t: &Target| {
+            let [a, b, c] = t.corners;
+            0.5 * (b - a).cross(c - a).length()
+        };
+        let density = |t: &Target| spots.densities[t.triangle as usize][usize::from(t.back)];
+        let sum: f64 = spots.targets.iter().map(|t| f64::from(density(t) * area(t))).sum();
+        assert!((sum - 1.0).abs() < 1e-5, "{sum}");
+    }
+}
