@@ -62,6 +62,13 @@ fn number(value: &Value, field: &str) -> f64 {
     value[field].as_f64().unwrap_or_else(|| panic!("{field} of {value}"))
 }
 
+/// Names of an object's fields: part of the contract.
+fn keys(value: &Value) -> Vec<&str> {
+    let mut keys: Vec<&str> = value.as_object().expect("an object").keys().map(String::as_str).collect();
+    keys.sort_unstable();
+    keys
+}
+
 #[test]
 fn a_bench_measures_every_method_on_every_case() {
     let folder = Folder::new("whole");
@@ -102,6 +109,7 @@ fn a_bench_measures_every_method_on_every_case() {
     assert!(done.status.success(), "{errors}");
     let table = String::from_utf8(done.stdout).expect("text");
     let report: Value = serde_json::from_slice(&std::fs::read(&output).expect("a report")).expect("JSON");
+    assert_eq!(keys(&report), ["cases", "elements", "mode", "scene", "seeds", "spacing", "threads"]);
     assert!(report["scene"] == "room.glb" && report["elements"].as_u64() > Some(500) && report["threads"] == 2);
     let cases = report["cases"].as_array().expect("cases");
     assert_eq!(cases.len(), 5);
@@ -141,7 +149,10 @@ fn a_focus_is_measured_as_a_client_sees_it() {
     let folder = Folder::new("focus");
     let focus = json!({"point": [2.2, 0.0, 2.0], "radius": 0.8}).to_string();
     let (report, table) = study(&folder, "focus", &["--samples=16", "--focus", &focus]);
+    let head = ["cases", "elements", "mode", "scene", "seeds", "spacing", "study", "threads"];
+    assert!(keys(&report) == head && report["scene"] == "room.glb", "{report}");
     let case = &report["cases"][0];
+    assert_eq!(keys(case), ["about", "curves", "name", "reference", "times"]);
     for curve in case["curves"].as_array().expect("curves") {
         let errors = errors(curve);
         assert!(errors.last() < errors.first(), "no better than the old light: {curve}");
@@ -174,6 +185,8 @@ fn check_case(case: &Value) {
     let (noise, samples) = (number(reference, "rmse_noise"), number(reference, "samples_per_element"));
     assert!(noise > 0.0 && samples == 256.0, "{reference}");
     let untouched = number(case, "no_update_rmse");
+    let fields = ["base", "edited_share", "elements", "name", "no_update_rmse", "reference", "runs"];
+    assert_eq!(keys(case), fields, "{name}");
     let runs = case["runs"].as_array().expect("runs");
     let methods: Vec<_> = runs.iter().map(|run| run["method"].as_str().expect("a name")).collect();
     assert_eq!(methods, ["path-trace", "cached", "paper", "rebake"], "{name}");

@@ -41,7 +41,7 @@ pub(super) fn measure(
         .collect();
     let mut errors: [Vec<Vec<f64>>; 2] = Default::default();
     for k in 0..options.seeds {
-        let base = Base { samples: options.base_samples, mode, seed: options.seed.wrapping_add(u64::from(k)) };
+        let base = Base::of_run(options, k);
         watcher.step(&case.name, &format!("drag, run {}", k + 1));
         let shown = with_session(&case.before, base, async |session| drag(session, &track).await)?;
         watcher.step(&case.name, &format!("re-baking, run {}", k + 1));

@@ -37,7 +37,7 @@ pub(super) fn measure(
     let mut runs = Vec::new();
     for k in 0..options.seeds {
         watcher.step(&case.name, &format!("run {}", k + 1));
-        let base = Base { samples: options.base_samples, mode, seed: options.seed.wrapping_add(u64::from(k)) };
+        let base = Base::of_run(options, k);
         let one = |focus: Option<&Value>| -> Result<Vec<Point>> {
             let seen = with_session(&case.before, base, async |session| follow(session, case, focus, samples).await)?;
             Ok(seen.into_iter().map(|seen| point(seen, &reference, mode)).collect())

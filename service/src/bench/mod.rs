@@ -13,6 +13,7 @@ mod run;
 mod service;
 mod session;
 mod study;
+mod subject;
 
 pub use cases::{Case, CaseKind, EditFile, PreparedCase};
 pub use gallery::PictureOptions;
@@ -20,10 +21,11 @@ pub use methods::{Goal, Method, Timed, run_method};
 pub use plot::{study_svg, svg};
 pub use rebake_core::paper::Equation;
 pub use reference::{Measured, Reference};
-pub use report::{BaseReport, CaseReport, PictureReport, ReferenceReport, Report, RunReport};
+pub use report::{BaseReport, CaseReport, PictureReport, ReferenceReport, Report, RunReport, Setup};
 pub use run::{Options, Watcher, run};
 pub use service::run_service;
 pub use study::{Curve, Point, Study, StudyCase, StudyReport, TimeToError, run_study};
+pub use subject::Subject;
 
 /// Which part of the light map errors are measured on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]

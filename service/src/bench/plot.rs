@@ -4,7 +4,7 @@
 use std::fmt::Write;
 
 use super::study::Curve;
-use super::{CaseReport, Mode, Report, RunReport, Study, StudyCase, StudyReport};
+use super::{CaseReport, Mode, Report, RunReport, Setup, Study, StudyCase, StudyReport};
 
 /// Size of a panel's frame and the room around it, pixels.
 const WIDTH: f64 = 400.0;
@@ -45,21 +45,26 @@ pub fn svg(report: &Report) -> String {
     let labels = labels(report);
     let panel = |case| case_panel(case, &labels);
     let panels = report.cases.iter().map(panel).collect();
-    let note = format!("{} elements, {} threads, medians of {} runs", report.elements, report.threads, report.seeds);
-    draw(&Sheet { title: &report.scene, labels: labels.clone(), note, mode: report.mode, log_time: true, panels })
+    let note = note(&report.setup, "medians of ");
+    let setup = &report.setup;
+    draw(&Sheet { title: &setup.scene, labels: labels.clone(), note, mode: setup.mode, log_time: true, panels })
 }
 
 /// Draws the report of a study.
 pub fn study_svg(report: &StudyReport) -> String {
     let labels = report.cases.first().map(|case| case.curves.iter().map(|curve| curve.label.clone()).collect());
     draw(&Sheet {
-        title: &report.scene,
+        title: &report.setup.scene,
         labels: labels.unwrap_or_default(),
-        note: format!("{} elements, {} threads, {} runs", report.elements, report.threads, report.seeds),
-        mode: report.mode,
+        note: note(&report.setup, ""),
+        mode: report.setup.mode,
         log_time: matches!(report.study, Study::Focus { .. }),
         panels: report.cases.iter().map(study_panel).collect(),
     })
+}
+
+fn note(setup: &Setup, of_runs: &str) -> String {
+    format!("{} elements, {} threads, {of_runs}{} runs", setup.elements, setup.threads, setup.seeds)
 }
 
 fn study_panel(case: &StudyCase) -> Panel<'_> {

@@ -5,21 +5,29 @@ use serde::Serialize;
 
 use super::{Mode, Reference};
 
-/// All cases of a scene.
+/// What was measured on, and with what. In JSON its fields are those of the report.
 #[derive(Clone, Debug, Serialize)]
-pub struct Report {
+pub struct Setup {
     /// File of the scene.
     pub scene: String,
     /// Elements of the scene as it is in the file.
     pub elements: usize,
-    /// Threads that all methods had.
+    /// Threads that all methods, or the service, had.
     pub threads: usize,
     /// Largest distance between neighbouring elements, metres.
     pub spacing: f32,
     /// What errors are measured on.
     pub mode: Mode,
-    /// Runs per method and budget; figures are medians over them.
+    /// Runs per method and budget. Figures are medians over them, errors during a drag means.
     pub seeds: u32,
+}
+
+/// All cases of a scene.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// The scene, threads and so on.
+    #[serde(flatten)]
+    pub setup: Setup,
     /// In the order of the edit file.
     pub cases: Vec<CaseReport>,
 }

@@ -1,17 +1,14 @@
 //! Runs all methods on all cases and measures them.
 
-use std::path::Path;
 use std::sync::Arc;
 
-use anyhow::{Context, Result, ensure};
-use rebake_core::scene::Scene;
-use rebake_core::{Budget, LightMap, Unobserved, World, WorldOptions, bake};
+use anyhow::Result;
+use rebake_core::{Budget, LightMap, Unobserved, bake};
 
 use super::gallery::{Shown, draw_case};
 use super::report::{BaseReport, CaseReport, ReferenceReport, Report, RunReport};
 use super::{
-    Case, EditFile, Goal, Method, Mode, PictureOptions, PreparedCase, Reference, StudyReport, Timed, run_method,
-    run_service,
+    Goal, Method, Mode, PictureOptions, PreparedCase, Reference, StudyReport, Subject, Timed, run_method, run_service,
 };
 
 /// What to run, and how long.
@@ -59,35 +56,20 @@ pub trait Watcher {
     }
 }
 
-/// Runs the bench on the current rayon pool. `folder` is where paths in the edit file begin.
-pub fn run(
-    name: &str,
-    scene: &Scene,
-    file: &EditFile,
-    folder: &Path,
-    options: &Options,
-    watcher: &mut dyn Watcher,
-) -> Result<Report> {
-    watcher.step("", "elements of the scene");
-    let mut world_options = WorldOptions { spacing: options.spacing, ..WorldOptions::default() };
-    let (elements, spacing) = {
-        let world = World::new(scene.clone(), &world_options)?;
-        (world.element_count(), world.spacing())
-    };
-    // One spacing for all cases, whatever they take out of the scene first.
-    world_options.spacing = Some(spacing);
-    let (seeds, mode) = (options.seeds, options.mode);
-    let threads = rayon::current_num_threads();
-    let mut report = Report { scene: name.to_owned(), elements, threads, spacing, mode, seeds, cases: Vec::new() };
-    let wanted = |case: &Case| options.filter.as_ref().is_none_or(|part| case.name.contains(part));
-    ensure!(file.cases.iter().any(wanted), "cases: none has a name to run");
-    for (k, case) in file.cases.iter().enumerate().filter(|(_, case)| wanted(case)) {
-        watcher.step(&case.name, "edit");
-        let prepared =
-            case.prepare(scene, folder, &world_options).with_context(|| format!("cases[{k}] ({:?})", case.name))?;
-        report.cases.push(run_case(&prepared, options, watcher)?);
-        watcher.case_done(&report)?;
-    }
+/// Runs the bench on the current rayon pool.
+pub fn run(subject: &Subject, options: &Options, watcher: &mut dyn Watcher) -> Result<Report> {
+    let setup = subject.setup(options, watcher)?;
+    let spacing = setup.spacing;
+    let mut report = Report { setup, cases: Vec::new() };
+    subject.each_case(
+        (options, spacing),
+        |_| true,
+        watcher,
+        |case, watcher| {
+            report.cases.push(run_case(case, options, watcher)?);
+            watcher.case_done(&report)
+        },
+    )?;
     Ok(report)
 }
 

@@ -11,7 +11,7 @@ use rebake_core::{Edit, World};
 use serde_json::{Value, json};
 use tokio::net::TcpListener;
 
-use super::Mode;
+use super::{Mode, Options};
 use crate::Config;
 use crate::client::types::{Job, JobState, NewScene};
 use crate::client::{Client, DeltaFollower, EditOptions};
@@ -25,6 +25,13 @@ pub(super) struct Base {
     pub(super) mode: Mode,
     /// Of all random numbers.
     pub(super) seed: u64,
+}
+
+impl Base {
+    /// That of the `k`th run.
+    pub(super) fn of_run(options: &Options, k: u32) -> Base {
+        Base { samples: options.base_samples, mode: options.mode, seed: options.seed.wrapping_add(u64::from(k)) }
+    }
 }
 
 /// A baked scene and the client's copy of its light map.

@@ -1,16 +1,13 @@
 //! Reports of error against time as a client sees it: what a focus brings, and what is shown during a drag.
 
-use std::path::Path;
-
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, ensure};
 use glam::Vec3;
-use rebake_core::scene::Scene;
-use rebake_core::{LightMap, World, WorldOptions};
+use rebake_core::LightMap;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::report::ReferenceReport;
-use super::{Case, CaseKind, EditFile, Mode, Options, Watcher, drag, focus};
+use super::report::{ReferenceReport, Setup};
+use super::{Case, CaseKind, Mode, Options, Subject, Watcher, drag, focus};
 
 /// What is measured over time.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -35,18 +32,9 @@ pub enum Study {
 pub struct StudyReport {
     /// What was measured.
     pub study: Study,
-    /// File of the scene.
-    pub scene: String,
-    /// Elements of the scene as it is in the file.
-    pub elements: usize,
-    /// Threads of the service, and of re-baking.
-    pub threads: usize,
-    /// Largest distance between neighbouring elements, metres.
-    pub spacing: f32,
-    /// What errors are measured on.
-    pub mode: Mode,
-    /// Runs. Times to an error are medians of them, errors during a drag are means.
-    pub seeds: u32,
+    /// The scene, threads and so on.
+    #[serde(flatten)]
+    pub setup: Setup,
     /// In the order of the edit file.
     pub cases: Vec<StudyCase>,
 }
@@ -101,47 +89,28 @@ pub struct TimeToError {
     pub ratio: Option<f64>,
 }
 
-/// Runs a study on the current rayon pool. `folder` is where paths in the edit file begin.
+/// Runs a study on the current rayon pool.
 pub fn run_study(
     study: &Study,
-    name: &str,
-    scene: &Scene,
-    file: &EditFile,
-    folder: &Path,
+    subject: &Subject,
     options: &Options,
     watcher: &mut dyn Watcher,
 ) -> Result<StudyReport> {
-    watcher.step("", "elements of the scene");
-    let mut world_options = WorldOptions { spacing: options.spacing, ..WorldOptions::default() };
-    let world = World::new(scene.clone(), &world_options)?;
-    world_options.spacing = Some(world.spacing());
-    let mut report = StudyReport {
-        study: study.clone(),
-        scene: name.to_owned(),
-        elements: world.element_count(),
-        threads: rayon::current_num_threads(),
-        spacing: world.spacing(),
-        mode: options.mode,
-        seeds: options.seeds,
-        cases: Vec::new(),
-    };
-    let wanted = |case: &Case| {
-        let is_named = options.filter.as_ref().is_none_or(|part| case.name.contains(part));
-        is_named && (matches!(study, Study::Focus { .. }) || case.edit == CaseKind::Move)
-    };
-    for (k, case) in file.cases.iter().enumerate().filter(|(_, case)| wanted(case)) {
-        watcher.step(&case.name, "edit");
-        let prepared =
-            case.prepare(scene, folder, &world_options).with_context(|| format!("cases[{k}] ({:?})", case.name))?;
+    let is_wanted = |case: &Case| matches!(study, Study::Focus { .. }) || case.edit == CaseKind::Move;
+    ensure!(
+        subject.file.cases.iter().any(is_wanted),
+        "cases: a drag takes those whose edit is \"move\", there is none"
+    );
+    let setup = subject.setup(options, watcher)?;
+    let spacing = setup.spacing;
+    let mut report = StudyReport { study: study.clone(), setup, cases: Vec::new() };
+    subject.each_case((options, spacing), is_wanted, watcher, |case, watcher| {
         report.cases.push(match study {
-            Study::Focus { focus, samples } => focus::measure(&prepared, focus, *samples, options, watcher)?,
-            Study::Drag { moves } => drag::measure(&prepared, *moves, options, watcher)?,
+            Study::Focus { focus, samples } => focus::measure(case, focus, *samples, options, watcher)?,
+            Study::Drag { moves } => drag::measure(case, *moves, options, watcher)?,
         });
-        watcher.study_case_done(&report)?;
-    }
-    if report.cases.is_empty() {
-        bail!("cases: none to run; a drag takes those whose edit is \"move\"");
-    }
+        watcher.study_case_done(&report)
+    })?;
     Ok(report)
 }
 

@@ -1,6 +1,6 @@
 use rebake_core::scene::{Material, Mesh, Object, Scene};
 
-use super::super::{EditFile, Goal, Options, Watcher, run};
+use super::super::{EditFile, Goal, Options, Subject, Watcher, run};
 use super::*;
 
 #[test]
@@ -53,7 +53,8 @@ fn pictures_of_an_insert_show_that_an_update_comes_nearer_to_the_reference() {
         pictures: Some(pictures),
     };
     let file = EditFile::from_json(file).unwrap();
-    let report = run("", &scene, &file, Path::new("."), &options, &mut Nobody).unwrap();
+    let subject = Subject { name: "", scene: &scene, file: &file, folder: Path::new(".") };
+    let report = run(&subject, &options, &mut Nobody).unwrap();
     let found = &report.cases[0].pictures;
     let names: Vec<&str> = found.iter().map(|picture| picture.of).collect();
     assert_eq!(names, ["before", "path-trace", "rebake", "reference"]);

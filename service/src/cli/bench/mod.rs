@@ -8,7 +8,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use indicatif::ProgressBar;
-use rebake::bench::{self, EditFile, Equation, Goal, Method, Options, PictureOptions, Report, StudyReport, Watcher};
+use rebake::bench::{
+    self, EditFile, Equation, Goal, Method, Options, PictureOptions, Report, StudyReport, Subject, Watcher,
+};
 use rebake::sheet::Crop;
 use rebake_core::render::RenderOptions;
 use rebake_core::scene::{LoadLimits, Scene, load_glb};
@@ -274,9 +276,10 @@ fn bench_file(args: &BenchArgs) -> anyhow::Result<()> {
     // A place that cannot be written is better known before the bench than after it.
     drop(Replacement::begin(&args.output)?);
     let mut screen = Screen { output: args.output.clone(), spinner: ui::spinner("bench") };
+    let subject = Subject { name: &name, scene: &scene, file: &file, folder };
     let done = match study::study(args) {
-        None => bench::run(&name, &scene, &file, folder, &options, &mut screen).map(drop),
-        Some(study) => bench::run_study(&study, &name, &scene, &file, folder, &options, &mut screen).map(drop),
+        None => bench::run(&subject, &options, &mut screen).map(drop),
+        Some(study) => bench::run_study(&study, &subject, &options, &mut screen).map(drop),
     };
     screen.spinner.finish_and_clear();
     let source = args.edits.as_ref().map_or_else(|| name.to_string(), |edits| edits.display().to_string());
@@ -315,7 +318,7 @@ impl Watcher for Screen {
         if let Some(case) = report.cases.last() {
             let print = || -> anyhow::Result<()> {
                 if report.cases.len() == 1 {
-                    table::print_head(report)?;
+                    table::print_head(&report.setup, "medians of ")?;
                 }
                 table::print_case(case)
             };

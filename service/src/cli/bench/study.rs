@@ -4,6 +4,7 @@ use rebake::bench::{Study, StudyCase, StudyReport};
 use serde_json::json;
 
 use super::super::ui;
+use super::table::print_head;
 use super::{BenchArgs, What};
 
 /// A way for the demo's chair: away from the table, towards the corner under the wall lamp.
@@ -31,14 +32,7 @@ pub(super) fn study(args: &BenchArgs) -> Option<Study> {
 pub(super) fn print_last(report: &StudyReport) -> anyhow::Result<()> {
     let Some(case) = report.cases.last() else { return Ok(()) };
     if report.cases.len() == 1 {
-        ui::out(&format!(
-            "{}: {} elements, spacing {:.3} m, {} threads, {} runs",
-            ui::bold(&report.scene),
-            ui::count(report.elements as u64),
-            report.spacing,
-            report.threads,
-            report.seeds
-        ))?;
+        print_head(&report.setup, "")?;
     }
     ui::out("")?;
     let noise = ui::rmse(case.reference.rmse_noise);

@@ -1,17 +1,18 @@
 //! Reports on the terminal.
 
-use rebake::bench::{CaseReport, Report, RunReport};
+use rebake::bench::{CaseReport, RunReport, Setup};
 
 use super::super::ui;
 
-pub(super) fn print_head(report: &Report) -> anyhow::Result<()> {
+/// A line about the scene; `of_runs` says what figures are of the runs, as in "medians of ".
+pub(super) fn print_head(setup: &Setup, of_runs: &str) -> anyhow::Result<()> {
     ui::out(&format!(
-        "{}: {} elements, spacing {:.3} m, {} threads, medians of {} runs",
-        ui::bold(&report.scene),
-        ui::count(report.elements as u64),
-        report.spacing,
-        report.threads,
-        report.seeds
+        "{}: {} elements, spacing {:.3} m, {} threads, {of_runs}{} runs",
+        ui::bold(&setup.scene),
+        ui::count(setup.elements as u64),
+        setup.spacing,
+        setup.threads,
+        setup.seeds
     ))
 }
 
