@@ -1,9 +1,9 @@
-//! Sheets: pictures in a grid, each with a line of words above it.
+//! Sheets: pictures in a grid, each with a line of words above it, and a bar below where its colours stand for numbers.
 
 use glam::Vec3;
 use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
 use rebake_core::export::ExportError;
-use rebake_core::render::write_png;
+use rebake_core::render::{Palette, write_png};
 
 /// Between panels and around them, pixels.
 const GAP: usize = 10;
@@ -41,6 +41,25 @@ pub struct Cell {
     pub caption: String,
     /// The picture; an empty place without one.
     pub panel: Option<Panel>,
+    /// What the colours of the picture stand for, and what the upper end of that scale does: drawn below it.
+    pub scale: Option<(Palette, f32)>,
+}
+
+impl Cell {
+    /// A picture under words.
+    pub fn new(caption: impl Into<String>, panel: Panel) -> Cell {
+        Cell { caption: caption.into(), panel: Some(panel), scale: None }
+    }
+
+    /// An empty place.
+    pub fn empty() -> Cell {
+        Cell { caption: String::new(), panel: None, scale: None }
+    }
+
+    /// The same with a bar of colours.
+    pub fn with_scale(self, palette: Palette, scale: f32) -> Cell {
+        Cell { scale: Some((palette, scale)), ..self }
+    }
 }
 
 /// A grid of pictures under a title.
@@ -134,9 +153,33 @@ impl Panel {
     }
 }
 
+/// The colours of a scale from end to end, and what the ends and the middle stand for below them.
+fn bar(palette: Palette, scale: f32, width: usize) -> Panel {
+    let text = Sheet::CAPTION.1.val();
+    let mut bar = Panel::blank(width, Sheet::BAR, PAPER);
+    let line: Vec<Vec3> = (0..width).map(|x| palette.color_along((x as f32 + 0.5) / width as f32)).collect();
+    let colors = Panel::from_srgb(&line, width);
+    (0..Sheet::BAR - text).for_each(|y| bar.put(&colors, 0, y));
+    let ticks = palette.ticks(scale);
+    let widths = ticks.each_ref().map(|tick| tick.len() * get_raster_width(Sheet::CAPTION.0, Sheet::CAPTION.1));
+    let [low, middle, high] = widths;
+    // Both ends or none; the middle where it keeps apart from them.
+    let (has_ends, has_middle) = (low + high + GAP <= width, middle + 2 * (low.max(high) + GAP) <= width);
+    let lefts = [0, width.saturating_sub(middle) / 2, width.saturating_sub(high)];
+    for (k, is_written) in [has_ends, has_ends && has_middle, has_ends].into_iter().enumerate() {
+        if is_written {
+            bar.write(&ticks[k], (lefts[k], Sheet::BAR - text), widths[k], Sheet::CAPTION);
+        }
+    }
+    bar
+}
+
 impl Sheet {
     const TITLE: (FontWeight, RasterHeight) = (FontWeight::Bold, RasterHeight::Size24);
     const CAPTION: (FontWeight, RasterHeight) = (FontWeight::Regular, RasterHeight::Size20);
+
+    /// Height of a bar of colours with its numbers, pixels.
+    const BAR: usize = 10 + Self::CAPTION.1.val();
 
     /// The sheet as one picture.
     pub fn draw(&self) -> Panel {
@@ -144,8 +187,9 @@ impl Sheet {
         let columns = self.rows.iter().map(Vec::len).max().unwrap_or(0);
         let width_of = |k: usize| self.rows.iter().filter_map(|row| row.get(k)).map(|c| size(c).0).max().unwrap_or(0);
         let widths: Vec<usize> = (0..columns).map(width_of).collect();
-        let heights: Vec<usize> =
-            self.rows.iter().map(|row| row.iter().map(|c| size(c).1).max().unwrap_or(0)).collect();
+        let below = |cell: &Cell| cell.scale.map_or(0, |_| GAP / 2 + Self::BAR);
+        let height_of = |row: &Vec<Cell>| row.iter().map(|cell| size(cell).1 + below(cell)).max().unwrap_or(0);
+        let heights: Vec<usize> = self.rows.iter().map(height_of).collect();
         let line_of = |row: &[Cell]| match row.iter().all(|cell| cell.caption.is_empty()) {
             true => 0,
             false => Self::CAPTION.1.val() + GAP / 2,
@@ -163,6 +207,9 @@ impl Sheet {
                 sheet.write(&cell.caption, (left, top), *width, Self::CAPTION);
                 if let Some(panel) = &cell.panel {
                     sheet.put(panel, left, top + line);
+                    if let Some((palette, scale)) = cell.scale {
+                        sheet.put(&bar(palette, scale, panel.width), left, top + line + panel.height + GAP / 2);
+                    }
                 }
                 left += width + GAP;
             }
@@ -178,8 +225,8 @@ mod tests {
 
     #[test]
     fn pictures_stand_in_their_places_under_their_words() {
-        let cell = |caption: &str, color| Cell { caption: caption.into(), panel: Some(Panel::blank(40, 20, color)) };
-        let empty = Cell { caption: String::new(), panel: None };
+        let cell = |caption: &str, color| Cell::new(caption, Panel::blank(40, 20, color));
+        let empty = Cell::empty();
         let (red, blue) = ([200, 0, 0], [0, 0, 200]);
         let sheet = Sheet {
             title: "Title".into(),
@@ -198,6 +245,29 @@ mod tests {
         };
         assert!(has_ink(GAP..GAP + 12, head) && has_ink(GAP..drawn.width - GAP, GAP));
         assert!(!has_ink(2 * GAP + 40..2 * GAP + 80, head));
+    }
+
+    #[test]
+    fn a_bar_below_a_picture_says_what_its_colours_stand_for() {
+        let of = |width, scale| {
+            let cell = Cell::new("", Panel::blank(width, 20, [9; 3])).with_scale(Palette::Signed, scale);
+            Sheet { title: String::new(), rows: vec![vec![cell]] }.draw()
+        };
+        let sheet = of(200, 0.5);
+        assert_eq!((sheet.width, sheet.height), (200 + 2 * GAP, 20 + GAP / 2 + Sheet::BAR + 2 * GAP));
+        let at = |x: usize, y: usize| sheet.pixels[y * sheet.width + x];
+        let row = GAP + 20 + GAP / 2;
+        let [low, middle, high] = [at(GAP, row), at(GAP + 100, row), at(GAP + 199, row)];
+        assert!(low[2] > low[0] + 100 && high[0] > high[2] + 100 && middle[0].abs_diff(middle[2]) < 4);
+        // Numbers below it: at both ends and in the middle, and no ink between them.
+        let has_ink = |sheet: &Panel, from: usize, to: usize| {
+            let rows = sheet.pixels.chunks_exact(sheet.width).skip(row + 10).take(20);
+            rows.flat_map(|row| &row[GAP + from..GAP + to]).any(|pixel| pixel[0] < 100)
+        };
+        let found = [(0, 44), (44, 90), (90, 110), (110, 160), (160, 200)].map(|(from, to)| has_ink(&sheet, from, to));
+        assert_eq!(found, [true, false, true, false, true]);
+        // No room for both ends: none is better than half.
+        assert!(!has_ink(&of(50, 0.125), 0, 50));
     }
 
     #[test]

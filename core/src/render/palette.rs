@@ -48,12 +48,23 @@ impl Palette {
         at(i).lerp(at(i + 1), t - i as f32)
     }
 
+    /// What the lower end, the middle and the upper end of the scale stand for, where that is `scale`.
+    pub fn ticks(self, scale: f32) -> [String; 3] {
+        [self.low(), 0.5 * (self.low() + 1.0), 1.0].map(|end| number(end * scale))
+    }
+
+    /// The colour at a part of the way from the lower end of the scale to the upper one.
+    pub fn color_along(self, share: f32) -> Vec3 {
+        self.color(self.low() + (1.0 - self.low()) * share)
+    }
+
     /// Draws the scale with the numbers of its ends into the lower edge of 8-bit RGB; pictures that are too small for
     /// it stay as they are.
     pub(super) fn draw_bar(self, rgb: &mut [u8], width: usize, height: usize, scale: f32) {
         let zoom = (height / 180).max(1);
         let bar = 8 * zoom;
-        let texts = [number(self.low() * scale), number(scale)];
+        let [low, _, high] = self.ticks(scale);
+        let texts = [low, high];
         let text_width = texts.iter().map(|t| t.len() * 4 * zoom).max().unwrap_or(0) + 4 * zoom;
         if height < 8 * bar || width < 2 * text_width + 16 * zoom {
             return;
@@ -63,8 +74,7 @@ impl Palette {
             for x in 0..width {
                 let inside = x.saturating_sub(text_width) as f32 / (width - 2 * text_width) as f32;
                 let is_bar = x >= text_width && x < width - text_width && y >= height - bar + zoom;
-                let value = self.low() + (1.0 - self.low()) * inside.min(1.0);
-                let color = if is_bar { self.color(value) } else { Vec3::splat(0.08) };
+                let color = if is_bar { self.color_along(inside.min(1.0)) } else { Vec3::splat(0.08) };
                 set(x, y, color.to_array().map(|c| (c * 255.0 + 0.5) as u8));
             }
         }

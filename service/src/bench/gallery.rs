@@ -212,23 +212,21 @@ impl Gallery {
     }
 
     fn sheet(&self, case: &str, note: &str) -> Sheet {
-        let title = format!("{case}{note} (AgX, {:+.2} stops; change: blue less, red more)", self.exposure);
+        let title = format!("{case}{note} (AgX, {:+.2} stops)", self.exposure);
         let pictures = self.columns.iter().map(|column| {
             let mut panel = column.picture.clone();
             self.crops.iter().zip(COLORS.iter().cycle()).for_each(|(crop, color)| panel.frame(*crop, *color));
-            Cell { caption: format!("{}: {}", column.name, column.cost), panel: Some(panel) }
+            Cell::new(format!("{}: {}", column.name, column.cost), panel)
         });
         let errors = self.columns.iter().enumerate().map(|(k, column)| match self.is_reference(k) {
-            true => Cell { caption: String::new(), panel: None },
-            false => Cell {
-                caption: format!("FLIP {:.4}, RMSE {:.2e}", column.flip, column.rmse),
-                panel: Some(column.flip_map.clone()),
-            },
+            true => Cell::empty(),
+            false => {
+                let caption = format!("FLIP {:.4}, RMSE {:.2e}", column.flip, column.rmse);
+                Cell::new(caption, column.flip_map.clone()).with_scale(Palette::Heat, 1.0)
+            }
         });
-        let changes = self.columns.iter().map(|column| Cell {
-            caption: column.change.as_ref().map_or_else(String::new, |_| format!("change, ends +-{}", self.scale)),
-            panel: column.change.clone(),
-        });
+        let change = |panel: &Panel| Cell::new("change", panel.clone()).with_scale(Palette::Signed, self.scale);
+        let changes = self.columns.iter().map(|column| column.change.as_ref().map_or_else(Cell::empty, change));
         let mut rows = vec![pictures.collect(), errors.collect(), changes.collect()];
         rows.extend(self.crops.iter().zip(COLORS.iter().cycle()).map(|(crop, color)| self.magnified(*crop, *color)));
         Sheet { title, rows }
@@ -242,7 +240,7 @@ impl Gallery {
             left.frame(left.whole(), color);
             let beside = if self.is_reference(k) { column.change.as_ref() } else { Some(&column.flip_map) };
             let panel = beside.map_or_else(|| left.clone(), |right| left.beside(&right.magnified(crop, width)));
-            Cell { caption: String::new(), panel: Some(panel) }
+            Cell::new("", panel)
         };
         self.columns.iter().enumerate().map(cell).collect()
     }

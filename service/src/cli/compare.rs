@@ -145,19 +145,20 @@ impl Shown {
     /// The panels side by side; below, row by row, the crops, each as wide as a panel.
     fn sheet(&self, crops: &[Crop]) -> anyhow::Result<Vec<u8>> {
         let panels = self.panels.each_ref().map(|colors| Panel::from_srgb(colors, self.width));
-        let ends = format!("B - A, ends +-{}", self.scale);
-        let captions = ["A".to_owned(), "B".to_owned(), ends, format!("FLIP, mean {:.4}", self.mean_flip())];
+        let flip = format!("FLIP, mean {:.4}", self.mean_flip());
+        let captions = ["A", "B", "B - A", &flip];
+        let scales = [None, None, Some((Palette::Signed, self.scale)), Some((Palette::Heat, 1.0))];
         let mut first: Vec<Panel> = panels.to_vec();
         let mut rows = Vec::new();
         for crop in crops {
             let inside = crop.x + crop.width <= self.width && crop.y + crop.height <= self.height;
             anyhow::ensure!(inside, "--crop: {crop:?} is not within {} × {} pixels", self.width, self.height);
             first[..2].iter_mut().for_each(|panel| panel.frame(*crop, FRAME));
-            let part = |panel: &Panel| Cell { caption: String::new(), panel: Some(panel.magnified(*crop, self.width)) };
+            let part = |panel: &Panel| Cell::new("", panel.magnified(*crop, self.width));
             rows.push(panels.iter().map(part).collect());
         }
-        let first = captions.into_iter().zip(first).map(|(caption, panel)| Cell { caption, panel: Some(panel) });
-        rows.insert(0, first.collect());
+        let first = captions.into_iter().zip(first).map(|(caption, panel)| Cell::new(caption, panel));
+        rows.insert(0, first.zip(scales).map(|(cell, scale)| Cell { scale, ..cell }).collect());
         let sheet = Sheet { title: String::new(), rows };
         sheet.draw().png().context("cannot make the picture")
     }
@@ -187,7 +188,8 @@ mod tests {
         assert!((shown.scale - 0.2).abs() < 1e-6 && shown.mean_flip() > 0.1);
         let sheet = read_picture(&shown.sheet(&args.crop).unwrap()).unwrap().picture;
         // Four times 20 and gaps of 10; one row of 10 pixels and one of 4 magnified four times, the first under captions.
-        assert_eq!((sheet.width, sheet.height), (4 * 30 + 10, 10 + (25 + 10 + 10) + (16 + 10)));
+        // Bars with numbers below the difference and FLIP.
+        assert_eq!((sheet.width, sheet.height), (4 * 30 + 10, 10 + (25 + 10 + 35 + 10) + (16 + 10)));
         let outside = Crop { x: 18, y: 0, width: 5, height: 5 };
         assert!(shown.sheet(&[outside]).is_err());
     }
