@@ -104,6 +104,9 @@ fn lamps() -> Vec<HardCase> {
         objects.push(spark.clone());
         world(objects, 0.15)
     };
+    let mut two_lamps = room_objects(0.7);
+    two_lamps.push(spark.clone());
+    let two_lamps = world(two_lamps, 0.15);
     let lantern =
         |low: Vec3, high: Vec3| Object::new("lantern", Mesh::cuboid(low, high), Material::diffuse(Vec3::splat(0.5)));
     let panel = Object::new(
@@ -125,6 +128,11 @@ fn lamps() -> Vec<HardCase> {
             "+ box 5 cm below a lamp of a square millimetre",
             lit_by_spark(),
             insert(lantern(Vec3::new(1.3, 0.9, 1.3), Vec3::new(1.7, 1.15, 1.7))),
+        ),
+        case(
+            "+ box around the brighter of two lamps",
+            two_lamps,
+            insert(cube(Vec3::new(1.4, 1.1, 1.4), Vec3::splat(0.2), 0.5)),
         ),
         case(
             "+ crate beside a slit of 2 cm",
@@ -157,15 +165,18 @@ fn scales() -> Vec<HardCase> {
 
 fn meshes() -> Vec<HardCase> {
     let open = world(open_scene_objects(), 0.1);
-    let dense = Object::new("sphere", Mesh::icosphere(0.4, 7), Material::diffuse(Vec3::splat(0.5)))
-        .placed(DMat4::from_translation(DVec3::new(2.1, 0.5, 2.0)));
+    let sphere = |level| {
+        Object::new("sphere", Mesh::icosphere(0.4, level), Material::diffuse(Vec3::splat(0.5)))
+            .placed(DMat4::from_translation(DVec3::new(2.1, 0.5, 2.0)))
+    };
     vec![
         case(
             "+ cube in an open scene, doubled triangles",
             open,
             insert(cube(Vec3::new(0.9, 0.0, 0.9), Vec3::splat(0.5), 0.4)),
         ),
-        case("+ sphere of 327,680 triangles", world(room_objects(0.7), 0.15), insert(dense)),
+        case("+ sphere of 327,680 triangles", world(room_objects(0.7), 0.15), insert(sphere(7))),
+        case("+ sphere of 1,310,720 triangles", world(room_objects(0.7), 0.15), insert(sphere(8))),
     ]
 }
 

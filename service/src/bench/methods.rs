@@ -67,6 +67,11 @@ impl Method {
             Method::Service => "service",
         }
     }
+
+    /// Whether it starts from the old light map.
+    pub fn is_update(self) -> bool {
+        matches!(self, Method::Paper { .. } | Method::Rebake)
+    }
 }
 
 impl Goal {

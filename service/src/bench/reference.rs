@@ -64,7 +64,10 @@ impl Reference {
         seed: u64,
         is_wanted: impl Fn(usize) -> bool,
     ) -> Reference {
-        let slots = draw(world, count, is_wanted);
+        Reference::trace_at(world, draw(world, count, is_wanted), samples, seed)
+    }
+
+    fn trace_at(world: &World, slots: Vec<u32>, samples: u32, seed: u64) -> Reference {
         let mut distinct = slots.clone();
         distinct.dedup();
         let half = samples.div_ceil(2).max(1);
@@ -75,6 +78,32 @@ impl Reference {
         // Far from the seeds of the methods, which count up from the user's.
         let halves = [trace(seed ^ 0x5eed_0001_0000_0000), trace(seed ^ 0x5eed_0002_0000_0000)];
         Reference { slots, samples: 2 * half, halves }
+    }
+
+    /// What the light map after an edit would be if the change were exact: `base`, the light map before it in the slots
+    /// of the world after it, plus the change of the truth. Elements without a value before keep their whole truth.
+    /// Errors against it are an update's own; those of the old map drop out.
+    pub fn given(&self, base: &LightMap, before: &World, after: &World, seed: u64) -> Reference {
+        let had_value = |slot: usize| {
+            let same = before.positions().get(slot) == after.positions().get(slot);
+            same && before.areas()[slot] > 0.0 && before.is_valid(slot)
+        };
+        let kept: Vec<u32> = self.slots.iter().copied().filter(|slot| had_value(*slot as usize)).collect();
+        // The same paths, as far as both worlds look alike: much of the noise of the difference cancels.
+        let past = Reference::trace_at(before, kept, self.samples, seed);
+        let shifted = |half: usize| {
+            let mut past = past.slots.iter().zip(&past.halves[half]).peekable();
+            let shift = |(&slot, truth): (&u32, &PathTraced)| match past.next_if(|(kept, _)| **kept == slot) {
+                Some((_, then)) => PathTraced {
+                    direct: truth.direct - then.direct + base.direct[slot as usize],
+                    indirect: truth.indirect - then.indirect + base.indirect[slot as usize],
+                    ..*truth
+                },
+                None => *truth,
+            };
+            self.slots.iter().zip(&self.halves[half]).map(shift).collect()
+        };
+        Reference { slots: self.slots.clone(), samples: self.samples, halves: [shifted(0), shifted(1)] }
     }
 
     fn truth(&self, half: usize, k: usize, mode: Mode) -> DVec3 {
@@ -206,5 +235,39 @@ mod tests {
         let noise = reference.noise(Mode::Indirect);
         assert!((noise / (0.05 / 2f64.sqrt()) - 1.0).abs() < 0.02, "{noise}");
         assert!(reference.mean_square_bias(&[&maps[0]], Mode::Indirect).is_none());
+    }
+
+    /// Where nothing has changed the old map is right, whatever its errors; elements that have come count whole.
+    #[test]
+    fn errors_of_the_old_map_drop_out_of_the_change() {
+        use rebake_core::scene::{Material, Mesh, Object, Scene};
+        use rebake_core::{Edit, WorldOptions};
+
+        let quad = |name: &str, height: f32, material| {
+            Object::new(name, Mesh::quad(Vec3::Y * height, Vec3::Z, Vec3::X), material)
+        };
+        let (white, lamp) = (Material::diffuse(Vec3::splat(0.5)), Material::emissive(Vec3::ONE).double_sided());
+        let scene = Scene::from_objects(vec![quad("floor", 0.0, white), quad("lamp", 1.0, lamp)]);
+        let before =
+            World::new(scene, &WorldOptions { spacing: Some(0.2), ..WorldOptions::default() }).expect("a floor");
+        let asset = Scene::from_objects(vec![quad("far", -3.0, white)]).into();
+        let insert = Edit::Insert { asset, name: "far".into(), transform: glam::DMat4::IDENTITY };
+        let transition = before.apply(&[insert]).expect("an insert");
+        let wrong = LightMap { indirect: vec![Vec3::splat(7.0); before.slots()], ..LightMap::black(before.slots()) };
+        let mut map = transition.carry_over(&wrong);
+        let far = transition.after.objects().find(|object| object.name == "far").map(|object| object.first_element);
+        let is_far = |slot: usize| slot >= far.expect("the new object") as usize;
+        let after = &transition.after;
+        let truth = Reference::trace(after, 200, 64, 3);
+        let given = truth.given(&map, &before, after, 3);
+        // The far floor hides nothing from the other and is hidden by it: the lamp does not reach it.
+        map.indirect.iter_mut().enumerate().filter(|(slot, _)| is_far(*slot)).for_each(|(_, i)| *i = Vec3::ZERO);
+        let square = |truth: &Reference, map: &LightMap| truth.mean_square_error(map, Mode::Indirect).mean;
+        assert!(square(&truth, &map) > 1.0, "the old map is wrong");
+        let of_far = square(&given, &map);
+        assert!(of_far.abs() < 1e-4, "{of_far}");
+        map.indirect.iter_mut().for_each(|i| *i += 0.5);
+        let shifted = square(&given, &map);
+        assert!((shifted - 0.25).abs() < 1e-2, "{shifted}");
     }
 }

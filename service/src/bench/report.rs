@@ -134,6 +134,13 @@ pub struct RunReport {
     /// The same for equal time of the processors: what counts where other work shares them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gain_cpu: Option<f64>,
+    /// RMSE of the change alone: against the truth's change added to the same old map, whose own error so drops out. For
+    /// updates, where it was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub change_rmse: Option<f64>,
+    /// As `gain`, of `change_rmse`: what the update gains where the old map is right.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub change_gain: Option<f64>,
     /// For `paper`: N.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<u32>,

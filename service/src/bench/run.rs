@@ -34,6 +34,8 @@ pub struct Options {
     pub base_samples: u32,
     /// Measure that light map, too.
     pub measure_base: bool,
+    /// Measure the change of updates alone, too.
+    pub measure_change: bool,
     /// Only cases of whose name this is a part.
     pub filter: Option<String>,
     /// Pictures to draw of the runs of the first budget.
@@ -91,6 +93,10 @@ fn run_case(case: &PreparedCase, options: &Options, watcher: &mut dyn Watcher) -
     watcher.step(&case.name, "reference");
     let reference = Reference::trace(&case.after, options.reference_elements, options.reference_samples, options.seed);
     let untouched = case.transition.carry_over(&base);
+    let given = (options.measure_change && !only_service).then(|| {
+        watcher.step(&case.name, "reference of the change");
+        reference.given(&untouched, &case.before, &case.after, options.seed)
+    });
     let (mut runs, mut shown) = (Vec::new(), Vec::new());
     for &method in &options.methods {
         for (k, &goal) in options.goals.iter().enumerate() {
@@ -106,7 +112,12 @@ fn run_case(case: &PreparedCase, options: &Options, watcher: &mut dyn Watcher) -
                 })
                 .collect::<Result<_>>()?;
             if !timed.is_empty() {
-                runs.push(summarize(method, goal, &timed, &reference, mode));
+                let mut run = summarize(method, goal, &timed, &reference, mode);
+                run.change_rmse = given
+                    .as_ref()
+                    .filter(|_| method.is_update())
+                    .map(|given| median(timed.iter().map(|t| given.mean_square_error(&t.map, mode).root()).collect()));
+                runs.push(run);
             }
             if let (0, Some(_), Some(first)) = (k, &options.pictures, timed.into_iter().next()) {
                 shown.push(Shown::of(method, first));
@@ -157,6 +168,8 @@ fn summarize(method: Method, goal: Goal, timed: &[Timed], reference: &Reference,
         estimated_rmse: stated.map(median),
         gain: None,
         gain_cpu: None,
+        change_rmse: None,
+        change_gain: None,
         iterations: published.map(|p| p.0),
         path_length: published.map(|p| p.1),
     }
@@ -164,20 +177,25 @@ fn summarize(method: Method, goal: Goal, timed: &[Timed], reference: &Reference,
 
 /// RMSE of path tracing in the same time over that of each run.
 fn add_gains(runs: &mut [RunReport]) {
-    let gains = gains(runs, |run| Some(run.seconds));
-    let of_cpu = self::gains(runs, |run| run.cpu_seconds);
-    for ((run, gain), gain_cpu) in runs.iter_mut().zip(gains).zip(of_cpu) {
-        (run.gain, run.gain_cpu) = (gain, gain_cpu);
+    let of_time = gains(runs, |run| Some(run.seconds), |run| Some(run.rmse));
+    let of_cpu = gains(runs, |run| run.cpu_seconds, |run| Some(run.rmse));
+    let of_change = gains(runs, |run| Some(run.seconds), |run| run.change_rmse);
+    for (((run, gain), cpu), change) in runs.iter_mut().zip(of_time).zip(of_cpu).zip(of_change) {
+        (run.gain, run.gain_cpu, run.change_gain) = (gain, cpu, change);
     }
 }
 
 /// Path tracing has no bias, so that `rmse · √seconds` is a constant of the case, taken as the median over its runs.
-fn gains(runs: &[RunReport], seconds: impl Fn(&RunReport) -> Option<f64>) -> Vec<Option<f64>> {
-    let product = |run: &RunReport| Some(run.rmse * seconds(run)?.sqrt()).filter(|p| *p > 0.0);
+fn gains(
+    runs: &[RunReport],
+    seconds: impl Fn(&RunReport) -> Option<f64>,
+    rmse: impl Fn(&RunReport) -> Option<f64>,
+) -> Vec<Option<f64>> {
+    let product = |run: &RunReport, rmse: f64| Some(rmse * seconds(run)?.sqrt()).filter(|p| *p > 0.0);
     let traced = runs.iter().filter(|r| r.method == Method::PathTrace.name());
-    let constants: Vec<f64> = traced.filter_map(product).collect();
+    let constants: Vec<f64> = traced.filter_map(|run| product(run, run.rmse)).collect();
     let constant = (!constants.is_empty()).then(|| median(constants));
-    runs.iter().map(|run| Some(constant? / product(run)?)).collect()
+    runs.iter().map(|run| Some(constant? / product(run, rmse(run)?)?)).collect()
 }
 
 pub(super) fn median(mut values: Vec<f64>) -> f64 {
@@ -208,6 +226,8 @@ mod tests {
             estimated_rmse: None,
             gain: None,
             gain_cpu: None,
+            change_rmse: None,
+            change_gain: None,
             iterations: None,
             path_length: None,
         };
@@ -216,7 +236,12 @@ mod tests {
         add_gains(&mut runs);
         let gain = runs[1].gain.expect("a gain");
         assert!((gain - 10.0).abs() < 1e-9, "{gain}");
-        assert!(runs[2].gain.is_none() && runs[1].gain_cpu.is_none());
+        assert!(runs[2].gain.is_none() && runs[1].gain_cpu.is_none() && runs[1].change_gain.is_none());
+        // Of the error of .01 the change has but .002.
+        runs[1].change_rmse = Some(0.002);
+        add_gains(&mut runs);
+        let gain = runs[1].change_gain.expect("a gain");
+        assert!((gain - 50.0).abs() < 1e-9, "{gain}");
         assert_eq!([median(vec![3.0, 1.0, 2.0]), median(vec![4.0, 1.0])], [2.0, 2.5]);
     }
 }

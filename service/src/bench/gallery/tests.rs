@@ -49,6 +49,7 @@ fn pictures_of_an_insert_show_that_an_update_comes_nearer_to_the_reference() {
         reference_elements: 64,
         base_samples: 128,
         measure_base: false,
+        measure_change: false,
         filter: None,
         pictures: Some(pictures),
     };

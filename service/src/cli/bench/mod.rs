@@ -115,6 +115,9 @@ pub(super) struct BenchArgs {
     /// Measure the light map before the edit, too: its error is in all updates
     #[arg(long)]
     measure_base: bool,
+    /// Measure the change that updates make alone, too: their error if the light map before the edit were exact
+    #[arg(long)]
+    measure_change: bool,
     /// Independent runs per method and budget; figures are medians
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     seeds: u32,
@@ -221,6 +224,7 @@ impl BenchArgs {
             reference_elements: self.reference_elements as usize,
             base_samples: self.base_samples,
             measure_base: self.measure_base,
+            measure_change: self.measure_change,
             filter: self.cases.clone(),
             pictures: self.pictures.options(),
         }

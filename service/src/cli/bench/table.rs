@@ -50,6 +50,11 @@ pub(super) fn print_case(case: &CaseReport) -> anyhow::Result<()> {
             gain(run.gain),
             gain(run.gain_cpu),
         ]))?;
+        if let Some(rmse) = run.change_rmse {
+            let (rmse, gain) = (ui::rmse(rmse), gain(run.change_gain));
+            let row = ["  its change alone", "", "", "", "", "", &rmse, "", "", "", &gain];
+            ui::out(&ui::faint(&table.row(&row)))?;
+        }
     }
     Ok(())
 }
