@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use crate::accumulate::Accumulator;
 use crate::focus::Focus;
+use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer, Pass};
 use crate::layers::{Computed, Header, Stack, groups_of, weights_of, weights_within, with_layers};
 use crate::lightmap::LightMap;
@@ -26,7 +27,7 @@ const SOLVE_SAMPLES: (u32, u32) = (16, 64);
 /// ([`crate::scene::Scene::groups`]) get layers of their own, along the same rays.
 pub fn bake(world: &World, budget: &Budget, seed: u64, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
     let work = Work::new(observer);
-    let goal = Goal { budget, focus: None, seed: subseed(seed, 0xba6e) };
+    let goal = Goal { budget, importance: &Importance::default(), seed: subseed(seed, 0xba6e) };
     let map = bake_map(world, &groups_of(&world.scene), &|map| map, &goal, &work)?;
     Ok(map.unwrap_or_else(|| Arc::new(LightMap::black(world.slots()))))
 }
@@ -83,7 +84,7 @@ fn bake_stack<V: Value>(
     work: &Work,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
     let baker = Baker::new(world, weights, goal.seed, work);
-    let first = goal.focus.map(|focus| baker.look_first(focus, finish, goal)).transpose()?.flatten();
+    let first = goal.focus().map(|focus| baker.look_first(focus, finish, goal)).transpose()?.flatten();
     let compose = |sum: &Accumulator<V>| {
         let mut stack = baker.compose(sum);
         if let Some(first) = &first {
@@ -148,7 +149,7 @@ impl<'a> Baker<'a> {
         let (len, weights) = (self.world.slots(), self.weights);
         let rounds = Rounds { len, weights, budget, seed, work: self.work, phase: Phase::Part };
         rounds.run(|_| None, |_| false, |r| self.round_at(r, &seen), compose)?;
-        Ok(last.take().map(|(stack, samples)| First { stack, is_seen, samples }))
+        Ok(last.take().map(|(stack, samples)| First::evenly(stack, &is_seen, samples)))
     }
 
     /// One independent estimate of direct and indirect light.

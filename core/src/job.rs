@@ -81,6 +81,12 @@ pub trait Observer: Sync {
         proposed
     }
 
+    /// Whether what comes first ([`crate::Importance`]) is to be left as far as it is, and the rest done: asked before each
+    /// of its rounds. A tile that is not done yet keeps its old light until then.
+    fn leaves_first(&self) -> bool {
+        false
+    }
+
     /// A consistent light map, better than the one before. Cheap: the map is shared.
     fn snapshot(&self, _map: &Arc<LightMap>, _progress: &Progress) {}
 }

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use glam::Vec3;
 
 use crate::bake::bake_map;
+use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer};
 use crate::layers::headers_of_layers;
 use crate::lightmap::LightMap;
@@ -43,7 +44,7 @@ pub(crate) fn refine_with(
         // A first round alone cannot tell its variance.
         if new.variance.iter().any(|v| *v > 0.0) { blend(world, map, new) } else { map.clone() }
     };
-    let goal = Goal { budget, focus: None, seed };
+    let goal = Goal { budget, importance: &Importance::default(), seed };
     bake_map(world, &headers_of_layers(map), &improve, &goal, work)
 }
 

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use crate::accumulate::Accumulator;
 use crate::focus::Focus;
+use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Pass, Progress};
 use crate::layers::Stack;
 use crate::lightmap::LightMap;
@@ -45,17 +46,20 @@ pub(crate) enum Phase {
 #[derive(Clone, Copy)]
 pub(crate) struct Goal<'a> {
     pub budget: &'a Budget,
-    pub focus: Option<&'a Focus>,
+    pub importance: &'a Importance,
     pub seed: u64,
 }
 
-/// Samples per element of what somebody looks at, before the rest of the scene gets any.
-const FOCUS_SAMPLES: u32 = 64;
-
 impl Goal<'_> {
-    /// How far what is looked at is computed before the rest.
+    /// What somebody looks at.
+    pub(crate) fn focus(&self) -> Option<&Focus> {
+        self.importance.focus.as_ref()
+    }
+
+    /// How far what comes first is computed before the rest.
     pub(crate) fn first_budget(&self) -> Budget {
-        Budget { samples_per_element: self.budget.samples_per_element.min(FOCUS_SAMPLES), target_rmse: None }
+        let samples = self.importance.samples();
+        Budget { samples_per_element: self.budget.samples_per_element.min(samples), target_rmse: None }
     }
 
     /// Its seed.
@@ -67,11 +71,16 @@ impl Goal<'_> {
 /// What was computed first, because somebody looks at it.
 pub(crate) struct First<V> {
     pub stack: Stack<V>,
-    pub is_seen: Vec<bool>,
-    pub samples: u32,
+    /// Samples per slot.
+    pub samples: Vec<u32>,
 }
 
 impl<V: Value> First<V> {
+    /// With the same number of samples wherever somebody looks.
+    pub(crate) fn evenly(stack: Stack<V>, is_seen: &[bool], samples: u32) -> First<V> {
+        First { stack, samples: is_seen.iter().map(|seen| if *seen { samples } else { 0 }).collect() }
+    }
+
     /// The mean, by samples, of what was done first and what followed, in some slots. Both hold the noise of `shared`.
     pub(crate) fn merge(
         &self,
@@ -80,8 +89,9 @@ impl<V: Value> First<V> {
         slots: impl Iterator<Item = u32>,
         shared: Option<&Stack<V>>,
     ) {
-        let weight = self.samples as f32 / (self.samples + samples) as f32;
-        stack.blend(&self.stack, slots.filter(|&slot| self.is_seen[slot as usize]), weight, shared);
+        let weight = |first: u32| first as f32 / (first + samples) as f32;
+        let of = |slot: u32| (self.samples[slot as usize] > 0).then(|| (slot, weight(self.samples[slot as usize])));
+        stack.blend(&self.stack, slots.filter_map(of), shared);
     }
 }
 
@@ -101,7 +111,48 @@ pub(crate) struct Rounds<'a> {
     pub phase: Phase,
 }
 
+/// Parts of a tile's samples that its first rounds have: so many rounds tell its variance.
+const TILE_PARTS: u32 = 4;
+
 impl Rounds<'_> {
+    /// Runs them for a part of the map that is shown when it is done; none where the observer ends it before.
+    pub(crate) fn run_quietly<V: Value>(
+        &self,
+        mut round: impl FnMut(&Round<V>) -> Result<Estimate<V>, Canceled>,
+    ) -> Result<Option<Accumulator<V>>, Canceled> {
+        let (budget, work) = (self.budget, self.work);
+        let observer = work.observer();
+        let mut sum = Accumulator::new(self.len, self.weights);
+        for index in 0.. {
+            let left = budget.samples_per_element.saturating_sub(sum.samples());
+            if left == 0 {
+                break;
+            }
+            let proposed = sum.samples().max(budget.samples_per_element.div_ceil(TILE_PARTS)).min(left);
+            let progress = |pass, round_samples, round_fraction| Progress {
+                pass,
+                samples_per_element: 0,
+                round_samples,
+                round_fraction,
+                rays: work.rays(),
+                estimated_rmse: None,
+            };
+            work.check()?;
+            if observer.leaves_first() {
+                return Ok(None);
+            }
+            let samples = observer.plan_round(&progress(Pass::Direct, proposed, 0.0), proposed).min(proposed);
+            if samples == 0 {
+                return Ok(None);
+            }
+            let begin = |pass, fraction| observer.progress(&progress(pass, samples, fraction));
+            let (direct, indirect) =
+                round(&Round { samples, seed: subseed(self.seed, index), sum: &sum, begin: &begin })?;
+            sum.add(samples, &direct, &indirect);
+        }
+        Ok(Some(sum))
+    }
+
     /// Runs them. `round` gives one independent estimate (direct, indirect), `compose` makes a light map of all, `stated`
     /// tells its error, `enough` whether more rounds are of no use.
     pub(crate) fn run<V: Value>(
@@ -128,7 +179,7 @@ impl Rounds<'_> {
                 estimated_rmse,
             };
             work.check()?;
-            if proposed == 0 {
+            if proposed == 0 || phase == Phase::Part && observer.leaves_first() {
                 break;
             }
             let samples = observer.plan_round(&progress(Pass::Direct, proposed, 0.0), proposed).min(proposed);

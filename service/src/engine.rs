@@ -13,7 +13,8 @@ use rebake_core::scene::{Light, LightKind, LoadLimits, load_glb};
 pub use rebake_core::scene::{LoadError, Scene};
 pub use rebake_core::surface::SurfaceError;
 pub use rebake_core::{
-    Budget, Canceled, DragBasis, Edit, EditError, EditErrorKind, Focus, LightMap, Observer, Pass, Progress, Relight,
+    Budget, Canceled, DragBasis, Edit, EditError, EditErrorKind, Focus, Importance, LightMap, Observer, Pass, Progress,
+    Relight, TileMode, Tiles,
 };
 pub use rebake_core::{Transition, World, WorldError};
 
@@ -65,7 +66,7 @@ pub struct Update<'a> {
     /// When to stop.
     pub budget: &'a Budget,
     /// What comes first.
-    pub focus: Option<&'a Focus>,
+    pub importance: Option<&'a Importance>,
     /// Seed of the random numbers.
     pub seed: u64,
 }
@@ -86,7 +87,7 @@ impl Engine for CoreEngine {
     }
 
     fn update(&self, work: &Update<'_>, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
-        rebake_core::update(work.transition, work.map, work.budget, work.focus, work.seed, observer)
+        rebake_core::update(work.transition, work.map, work.budget, work.importance, work.seed, observer)
     }
 
     fn refine(

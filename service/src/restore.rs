@@ -264,7 +264,7 @@ fn bake_again(app: &Arc<App>, scene: &Arc<SceneEntry>) {
         kind: JobKind::Bake,
         priority: Priority::Normal,
         budget,
-        focus: None,
+        importance: engine::Importance::default(),
         dragged: Vec::new(),
         seed,
         sequence,

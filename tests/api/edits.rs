@@ -23,11 +23,11 @@ async fn every_kind_of_edit_is_accepted_and_lit() {
         json!({ "op": "relight", "lights": [{ "light": "lamp", "color": [1, 0.5, 0.5], "intensity": 30 }],
             "focus": { "camera": 0, "width": 640, "height": 480 } }),
         json!({ "op": "insert_light", "name": "lamp-2", "light": lamp,
-            "focus": { "eye": [2, 1, 3], "target": [2, 1, 0], "fov_y": 1.2 } }),
+            "focus": { "eye": [2, 1, 3], "target": [2, 1, 0], "fov_y": 1.2 }, "tiles": { "mode": "incremental", "size": 64 } }),
         json!({ "op": "insert_light", "name": "spot", "light": spot }),
         json!({ "op": "insert_light", "name": "sun", "light": sun, "budget": { "max_seconds": 5 } }),
         json!({ "op": "insert_light", "name": "sky", "light": { "kind": "environment", "color": [1, 1, 1], "intensity": 1 } }),
-        json!({ "op": "move_light", "light": "lamp-2", "position": [1, 2.5, 1] }),
+        json!({ "op": "move_light", "light": "lamp-2", "position": [1, 2.5, 1], "tiles": { "samples": 2 } }),
         json!({ "op": "remove_light", "light": "lamp-2" }),
         json!({ "op": "remove", "objects": ["crate-1"], "budget": { "target_rmse": 10.0 } }),
         json!({ "edits": [
@@ -149,6 +149,14 @@ async fn refused_edits_name_the_field_and_change_nothing() {
         (with("focus", json!({ "point": [0, 0, 0] })), 422, "invalid-value", "focus.radius"),
         (with("focus", json!({ "eye": [0, 0, 0], "target": [0, 0, 0] })), 422, "invalid-value", "focus.target"),
         (with("focus", json!({ "eye": [0, 0, 0], "point": [0, 0, 0], "radius": 1 })), 422, "invalid-value", "focus"),
+        (with("tiles", json!({ "size": 15 })), 422, "invalid-value", "tiles.size"),
+        (with("tiles", json!({ "size": 1048577 })), 422, "invalid-value", "tiles.size"),
+        (with("tiles", json!({ "size": -1 })), 422, "invalid-value", "tiles.size"),
+        (with("tiles", json!({ "samples": 0 })), 422, "invalid-value", "tiles.samples"),
+        (with("tiles", json!({ "samples": 4000000000u32 })), 422, "invalid-value", "tiles.samples"),
+        (with("tiles", json!({ "mode": "spiral" })), 422, "invalid-value", "tiles.mode"),
+        (with("tiles", json!({ "order": "screen" })), 422, "invalid-value", "tiles.order"),
+        (with("tiles", json!(64)), 422, "invalid-value", "tiles"),
     ];
     let path = format!("{}/edits", path_of(&scene));
     for (edit, status, slug, field) in cases {

@@ -47,7 +47,8 @@ fn edits() -> Vec<Vec<u8>> {
     let edits: [Value; 8] = [
         json!({ "op": "insert", "asset": "00", "name": "a", "transform": at }),
         json!({ "op": "remove", "objects": ["no*", "room"] }),
-        json!({ "op": "move", "object": "cupboard", "transform": at, "focus": { "camera": "view" } }),
+        json!({ "op": "move", "object": "cupboard", "transform": at, "focus": { "camera": "view" },
+            "tiles": { "size": 64, "samples": 16, "mode": "continuous" } }),
         json!({ "op": "material", "object": "room", "albedo": [0.1, 0.2, 0.3], "budget": { "max_seconds": 0.01 } }),
         json!({ "op": "relight", "lights": [{ "light": "lamp", "color": [1, 0.5, 0.5], "intensity": 30 }] }),
         json!({ "op": "insert_light", "name": "l", "light": lamp, "priority": "low" }),

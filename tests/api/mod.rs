@@ -26,3 +26,4 @@ mod render;
 mod scenes;
 mod server;
 mod shutdown;
+mod tiles;

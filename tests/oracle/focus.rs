@@ -4,7 +4,9 @@ use std::sync::{Arc, Mutex};
 
 use glam::{DMat4, DVec3, Vec3};
 use rebake_core::scene::{LightKind, Scene};
-use rebake_core::{Budget, Edit, Focus, LightMap, Observer, Progress, Transition, Unobserved, World, bake, update};
+use rebake_core::{
+    Budget, Edit, Focus, Importance, LightMap, Observer, Progress, Transition, Unobserved, World, bake, update,
+};
 
 use super::scenes::{crate_at, room_objects, world};
 use super::statistics::{area_mean, mean_total};
@@ -39,7 +41,8 @@ fn check(focus: &Focus, inside: impl Fn(Vec3) -> bool, outside: impl Fn(Vec3) ->
     let old = bake(&before, &budget(256), 1, &Unobserved).expect("nobody cancels");
     let carried = transition.carry_over(&old);
     let snapshots = Snapshots::default();
-    let done = update(&transition, &old, &budget(32), Some(focus), 2, &snapshots).expect("nobody cancels");
+    let done =
+        update(&transition, &old, &budget(32), Some(&Importance::from(*focus)), 2, &snapshots).expect("nobody cancels");
     let plain = update(&transition, &old, &budget(64), None, 3, &Unobserved).expect("nobody cancels");
     let first = Arc::clone(&snapshots.0.lock().expect("nobody panics")[0]);
     let is_static = |i: usize| i < before.slots() && before.areas()[i] > 0.0;
@@ -106,7 +109,7 @@ fn a_moved_lamp_comes_first_where_somebody_looks() {
     let middle = Vec3::new(2.2, 0.0, 1.9);
     let focus = Focus::Sphere { point: middle.as_dvec3(), radius: 0.8 };
     let (with, without) = (Snapshots::default(), Snapshots::default());
-    let done = update(&transition, &old, &budget(32), Some(&focus), 2, &with).expect("nobody cancels");
+    let done = update(&transition, &old, &budget(32), Some(&focus.into()), 2, &with).expect("nobody cancels");
     let plain = update(&transition, &old, &budget(64), None, 3, &without).expect("nobody cancels");
 
     let (first, progress) = (with.0.lock().expect("no panic")[0].clone(), with.1.lock().expect("no panic").clone());
@@ -136,7 +139,9 @@ fn what_is_stated_of_the_view_is_the_scatter_of_runs() {
     let middle = Vec3::new(2.2, 0.0, 1.9);
     let focus = Focus::Sphere { point: middle.as_dvec3(), radius: 0.8 };
     let runs: Vec<Arc<LightMap>> = (0..RUNS)
-        .map(|seed| update(&transition, &old, &budget(16), Some(&focus), seed, &Unobserved).expect("nobody cancels"))
+        .map(|seed| {
+            update(&transition, &old, &budget(16), Some(&focus.into()), seed, &Unobserved).expect("nobody cancels")
+        })
         .collect();
     let region = |i: usize| i < before.slots() && before.is_valid(i) && after.positions()[i].distance(middle) < 0.75;
     let n = RUNS as f64;

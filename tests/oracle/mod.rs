@@ -11,3 +11,4 @@ mod path;
 mod plates;
 mod scenes;
 mod statistics;
+mod tiles;

@@ -160,19 +160,20 @@ impl<V: Value> Stack<V> {
         add(&mut self.layer_variance, &other.layer_variance);
     }
 
-    /// Takes the part `weight` of another in some slots. Both hold the noise of `shared`, and beside it their own.
+    /// Takes a part (slot, weight) of another in some slots. Both hold the noise of `shared`, and beside it their own.
     pub(crate) fn blend(
         &mut self,
         other: &Stack<V>,
-        slots: impl Iterator<Item = u32>,
-        weight: f32,
+        slots: impl Iterator<Item = (u32, f32)>,
         shared: Option<&Stack<V>>,
     ) {
         let layers = self.layers_of_variance();
-        let part =
-            |old: f32, a: f32, b: f32| old + weight * weight * (b - old) + (1.0 - weight) * (1.0 - weight) * (a - old);
-        let mix = |a: V, b: V| a + (b - a) * weight;
-        for slot in slots.map(|slot| slot as usize) {
+        for (slot, weight) in slots {
+            let slot = slot as usize;
+            let part = |old: f32, a: f32, b: f32| {
+                old + weight * weight * (b - old) + (1.0 - weight) * (1.0 - weight) * (a - old)
+            };
+            let mix = |a: V, b: V| a + (b - a) * weight;
             self.direct[slot] = mix(self.direct[slot], other.direct[slot]);
             self.indirect[slot] = mix(self.indirect[slot], other.indirect[slot]);
             let old = shared.map_or(0.0, |s| s.variance[slot]);
@@ -181,6 +182,18 @@ impl<V: Value> Stack<V> {
                 let old = shared.map_or(0.0, |s| s.layer_variance[k]);
                 self.layer_variance[k] = part(old, self.layer_variance[k], other.layer_variance[k]);
             }
+        }
+    }
+
+    /// Takes the values of another in some slots, bit for bit.
+    pub(crate) fn take(&mut self, other: &Stack<V>, slots: impl Iterator<Item = u32>) {
+        let layers = self.layers_of_variance();
+        for slot in slots.map(|slot| slot as usize) {
+            self.direct[slot] = other.direct[slot];
+            self.indirect[slot] = other.indirect[slot];
+            self.variance[slot] = other.variance[slot];
+            let its_layers = slot * layers..(slot + 1) * layers;
+            self.layer_variance[its_layers.clone()].copy_from_slice(&other.layer_variance[its_layers]);
         }
     }
 

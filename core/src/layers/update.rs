@@ -10,6 +10,7 @@ use super::plan::{Header, Plan, wants_layers};
 use super::regroup::{Pieces, renamed};
 use super::{Computed, Layer, Stack, correlation, weights_of, weights_within, whole};
 use crate::bake::bake_layers;
+use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer, Pass, Progress};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
@@ -136,8 +137,8 @@ impl Update<'_> {
         let most = if publishes { u32::MAX } else { QUIET_SAMPLES };
         let budget = self.goal.budget;
         let budget = Budget { samples_per_element: budget.samples_per_element.min(most), ..*budget };
-        let focus = self.goal.focus.filter(|_| publishes);
-        let goal = Goal { budget: &budget, focus, seed: subseed(self.goal.seed, 0x1ea) };
+        let importance = if publishes { *self.goal.importance } else { Importance::default() };
+        let goal = Goal { budget: &budget, importance: &importance, seed: subseed(self.goal.seed, 0x1ea) };
         let map = bake_layers(&self.transition.before, &self.plan.leaving, &finish, &goal, work)?;
         Ok(map.map(|map| (map, last.take())))
     }

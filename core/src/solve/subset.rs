@@ -99,6 +99,20 @@ impl Subset {
         needed
     }
 
+    /// Per slot: the representative that weighs most in it, as index into `slots`; `u32::MAX` where there is none.
+    pub(crate) fn cells(&self) -> Vec<u32> {
+        let mut cells = vec![NONE; self.len];
+        for side in &self.sides {
+            for element in 0..side.placed.surface.positions.len() as u32 {
+                if let Some((i, _)) = side.entries_of(element).next() {
+                    cells[(side.first_slot + element) as usize] = i as u32;
+                }
+            }
+            side.alone.iter().for_each(|&(element, i)| cells[(side.first_slot + element) as usize] = i);
+        }
+        cells
+    }
+
     /// Bytes of its own; surfaces and their weights belong to the world.
     pub(crate) fn memory_bytes(&self) -> usize {
         let side = |side: &Side| size_of_val(side.index.as_slice()) + size_of_val(side.alone.as_slice());

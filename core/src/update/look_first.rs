@@ -22,16 +22,17 @@ const UNSEEN_SAMPLES: u32 = 2;
 const LARGE: f64 = 0.1;
 
 /// Everything, roughly.
-struct Known<V> {
+#[derive(Clone)]
+pub(super) struct Known<V> {
     /// Before any bounce; black where somebody looks.
-    parts: Parts<V>,
-    bounces: Vec<V>,
+    pub parts: Parts<V>,
+    pub bounces: Arc<[V]>,
     /// Of new rows.
-    indirect: Vec<V>,
+    pub indirect: Arc<[V]>,
 }
 
 /// What is looked at, and what its rounds need.
-struct Look<V> {
+pub(super) struct Look<V> {
     is_seen: Vec<bool>,
     seen: Extents,
     /// Representatives that bounces are interpolated from, where they are seen.
@@ -41,9 +42,26 @@ struct Look<V> {
     known: OnceCell<Known<V>>,
 }
 
+impl<V: Value> Known<V> {
+    /// What is known around slots that somebody looks at.
+    pub(super) fn around(mut self, is_seen: &[bool]) -> Known<V> {
+        self.parts = self.parts.without(is_seen);
+        self
+    }
+}
+
 impl<V: Value> Updater<'_, V> {
+    /// Brings up to date what comes first; none where that is nothing.
+    pub(super) fn come_first(&self, goal: &Goal, work: &Work) -> Result<Option<First<V>>, Canceled> {
+        match (goal.importance.one_by_one(), goal.focus()) {
+            (Some(tiles), focus) => self.tile_by_tile(focus, tiles, goal, work),
+            (None, Some(focus)) => self.look_first(focus, goal, work),
+            (None, None) => Ok(None),
+        }
+    }
+
     /// Brings what is looked at up to date; none where that is nothing.
-    pub(super) fn look_first(&self, focus: &Focus, goal: &Goal, work: &Work) -> Result<Option<First<V>>, Canceled> {
+    fn look_first(&self, focus: &Focus, goal: &Goal, work: &Work) -> Result<Option<First<V>>, Canceled> {
         let is_seen = focus.covers(self.world);
         if !is_seen.iter().any(|seen| *seen) {
             return Ok(None);
@@ -53,7 +71,7 @@ impl<V: Value> Updater<'_, V> {
         let compose = |s: &Accumulator<V>| {
             let mut stack = self.compose(s);
             let unseen = self.static_rows.iter().copied().filter(|&slot| !look.is_seen[slot as usize]);
-            stack.blend(&self.old, unseen, 1.0, None);
+            stack.take(&self.old, unseen);
             stack.fill_invalid(&self.world.validity);
             last.replace(Some((stack.clone(), s.samples())));
             (self.stage.finish)(stack)
@@ -63,7 +81,12 @@ impl<V: Value> Updater<'_, V> {
         let (len, weights) = (self.world.slots(), self.stage.weights);
         let rounds = Rounds { len, weights, budget, seed, work, phase: Phase::Part };
         rounds.run(|_| None, |_| false, |r| self.round_of(r, &look), compose)?;
-        Ok(last.take().map(|(stack, samples)| First { stack, is_seen: look.is_seen, samples }))
+        Ok(last.take().map(|(stack, samples)| First::evenly(stack, &look.is_seen, samples)))
+    }
+
+    /// With what is known of everything else.
+    pub(super) fn look_with(&self, is_seen: Vec<bool>, known: Known<V>) -> Look<V> {
+        Look { is_large: false, known: OnceCell::from(known), ..self.look(is_seen) }
     }
 
     fn look(&self, is_seen: Vec<bool>) -> Look<V> {
@@ -84,16 +107,26 @@ impl<V: Value> Updater<'_, V> {
     /// Estimates everything; element by element where somebody looks and that is much. Answers that estimate, too.
     fn estimate_all(&self, round: &Round<V>, look: &Look<V>) -> Result<(Known<V>, Estimate<V>), Canceled> {
         let samples = if look.is_large { round.samples } else { UNSEEN_SAMPLES };
-        let round = Round { samples, seed: subseed(round.seed, 0xa11), ..*round };
-        let mut parts = Parts::black(self.world.slots());
-        let extents = self.extents(|slot| look.is_large && look.is_seen[slot as usize]);
-        self.arriving(&round, &extents, (&self.transition.new_rows, None), &mut parts)?;
-        let bounces = self.propagate(&parts, &round, None)?;
-        let estimate = parts.clone().with(&bounces);
-        Ok((Known { parts: parts.without(&look.is_seen), bounces, indirect: estimate.1.clone() }, estimate))
+        let known = self.know(round, samples, |slot| look.is_large && look.is_seen[slot as usize])?;
+        let estimate = known.parts.clone().with(&known.bounces);
+        Ok((known.around(&look.is_seen), estimate))
     }
 
-    fn round_of(&self, round: &Round<V>, look: &Look<V>) -> Result<Estimate<V>, Canceled> {
+    /// Everything at few samples, for all tiles.
+    pub(super) fn know_roughly(&self, round: &Round<V>) -> Result<Known<V>, Canceled> {
+        self.know(round, UNSEEN_SAMPLES, |_| false)
+    }
+
+    fn know(&self, round: &Round<V>, samples: u32, is_fine: impl Fn(u32) -> bool) -> Result<Known<V>, Canceled> {
+        let round = Round { samples, seed: subseed(round.seed, 0xa11), ..*round };
+        let mut parts = Parts::black(self.world.slots());
+        self.arriving(&round, &self.extents(is_fine), (&self.transition.new_rows, None), &mut parts)?;
+        let bounces = self.propagate(&parts, &round, None)?;
+        let indirect = parts.indirect.iter().zip(&bounces).map(|(i, b)| *i + *b).collect();
+        Ok(Known { parts, bounces: bounces.into(), indirect })
+    }
+
+    pub(super) fn round_of(&self, round: &Round<V>, look: &Look<V>) -> Result<Estimate<V>, Canceled> {
         let Known { parts, bounces, indirect } = match look.known.get() {
             Some(known) => known,
             None => {
@@ -108,7 +141,7 @@ impl<V: Value> Updater<'_, V> {
         let mut parts = parts.clone();
         self.arriving(round, &look.seen, (&look.new_rows, Some(indirect)), &mut parts)?;
         let mut fresh = self.propagate(&parts, round, Some((&look.rows, bounces)))?;
-        let unseen = look.is_seen.iter().zip(fresh.iter_mut().zip(bounces)).filter(|(seen, _)| !**seen);
+        let unseen = look.is_seen.iter().zip(fresh.iter_mut().zip(bounces.iter())).filter(|(seen, _)| !**seen);
         unseen.for_each(|(_, (fresh, known))| *fresh = *known);
         Ok(parts.with(&fresh))
     }

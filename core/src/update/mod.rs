@@ -12,7 +12,9 @@ mod direct;
 mod extent;
 mod look_first;
 mod new_rows;
+mod places;
 mod source;
+mod tile_by_tile;
 mod updater;
 
 use std::cell::OnceCell;
@@ -23,7 +25,7 @@ use glam::Vec3;
 use self::updater::Updater;
 use crate::accumulate::Accumulator;
 use crate::bake::Baker;
-use crate::focus::Focus;
+use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer};
 use crate::layers::{Stack, update_layers};
 use crate::lightmap::LightMap;
@@ -44,18 +46,20 @@ const SETTLED: f64 = 0.25;
 ///
 /// Where `target_rmse` is below what the old map's own noise allows, the update ends by refining ([`crate::refine`]).
 ///
-/// With a `focus`, the elements that are looked at come first: snapshots hold new values there and old ones elsewhere,
-/// until the rest follows.
+/// With a focus or tiles ([`Importance`]), some elements come first: snapshots hold new values there and old ones
+/// elsewhere, until the rest follows.
 pub fn update(
     transition: &Transition,
     map: &LightMap,
     budget: &Budget,
-    focus: Option<&Focus>,
+    importance: Option<&Importance>,
     seed: u64,
     observer: &dyn Observer,
 ) -> Result<Arc<LightMap>, Canceled> {
     let work = Work::new(observer);
-    let goal = Goal { budget, focus, seed: subseed(seed, 0xed17) };
+    let importance = &importance.copied().unwrap_or_default();
+    let budget = &importance.budget(budget);
+    let goal = Goal { budget, importance, seed: subseed(seed, 0xed17) };
     let updated = match update_layers(transition, map, &goal, &work) {
         Some(updated) => updated?,
         None => update_whole(transition, map, &goal, &work)?,
@@ -63,7 +67,9 @@ pub fn update(
     let Some(Updated { map: updated, baked }) = updated else { return Ok(Arc::new(transition.carry_over(map))) };
     let world = &transition.after;
     match budget.target_rmse {
-        Some(target) if !baked && updated.estimated_rmse(world.areas()) > target => {
+        Some(target)
+            if !baked && !importance.ends_at_tile_quality() && updated.estimated_rmse(world.areas()) > target =>
+        {
             Ok(refine_with(world, &updated, budget, goal.seed, &work)?.unwrap_or(updated))
         }
         _ => Ok(updated),
@@ -109,7 +115,7 @@ pub(crate) fn run_stage<V: Value>(stage: Stage<V>, goal: &Goal, work: &Work) -> 
     let (world, budget, seed) = (&stage.transition.after, goal.budget, goal.seed);
     let (weights, finish) = (stage.weights, stage.finish);
     let updater = Updater::new(stage, work);
-    let first = goal.focus.map(|f| updater.look_first(f, goal, work)).transpose()?.flatten();
+    let first = updater.come_first(goal, work)?;
     let extents = updater.extents(|_| true);
     let baker = OnceCell::new();
     let round = |r: &Round<V>| {

@@ -70,7 +70,7 @@ pub(super) struct Updater<'a, V> {
     /// direct + indirect of `old`.
     pub(super) old_total: Vec<V>,
     /// direct + indirect of the map of `before`, in its slots.
-    before_total: Vec<V>,
+    pub(super) before_total: Vec<V>,
     /// Computed elements that keep an old value.
     pub(super) static_rows: Vec<u32>,
     pub(super) subset: Subset,

@@ -5,7 +5,7 @@ use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
 use super::edit_lights::{check_group, check_strength, light_kind, unit};
-use super::edit_types::{self as dto, Budget, CameraRef, EditOp, Focus, NewLight};
+use super::edit_types::{self as dto, Budget, CameraRef, EditOp, Focus, NewLight, TileMode, Tiles};
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::{JobPriority, dmat4, dvec3, vec3};
 use crate::config::Config;
@@ -18,6 +18,7 @@ pub(crate) struct Parsed {
     pub(crate) edits: Vec<EditOp>,
     pub(crate) budget: Option<Budget>,
     pub(crate) focus: Option<Focus>,
+    pub(crate) tiles: Option<Tiles>,
     pub(crate) priority: JobPriority,
     /// The request was a list: fields are named `edits[i].…`.
     pub(crate) is_list: bool,
@@ -30,13 +31,13 @@ pub(crate) fn parse(body: &[u8], max_edits: usize) -> ApiResult<Parsed> {
     let Value::Object(mut fields) = value else {
         return Err(Problem::new(Kind::InvalidJson, "the body has to be a JSON object"));
     };
-    let (mut budget, mut focus) = take_extras(&mut fields, "")?;
+    let Extras { mut budget, mut focus, mut tiles } = take_extras(&mut fields, "")?;
     let priority = fields.remove("priority").map_or(Ok(JobPriority::Normal), |value| read(value, "priority"))?;
     let Some(list) = fields.remove("edits") else {
-        return Ok(Parsed { edits: vec![parse_op(fields, "")?], budget, focus, priority, is_list: false });
+        return Ok(Parsed { edits: vec![parse_op(fields, "")?], budget, focus, tiles, priority, is_list: false });
     };
     if let Some(unknown) = fields.keys().next() {
-        let reason = "is not known beside `edits`; expected `budget`, `focus` or `priority`";
+        let reason = "is not known beside `edits`; expected `budget`, `focus`, `tiles` or `priority`";
         return Err(Problem::field(Kind::InvalidValue, unknown, reason));
     }
     let Value::Array(list) = list else {
@@ -52,24 +53,31 @@ pub(crate) fn parse(body: &[u8], max_edits: usize) -> ApiResult<Parsed> {
         let Value::Object(mut fields) = edit else {
             return Err(Problem::field(Kind::InvalidValue, path, "has to be an object"));
         };
-        let (its_budget, its_focus) = take_extras(&mut fields, &path)?;
-        budget = budget.or(its_budget);
-        focus = focus.or(its_focus);
+        let its = take_extras(&mut fields, &path)?;
+        budget = budget.or(its.budget);
+        focus = focus.or(its.focus);
+        tiles = tiles.or(its.tiles);
         edits.push(parse_op(fields, &path)?);
     }
-    Ok(Parsed { edits, budget, focus, priority, is_list: true })
+    Ok(Parsed { edits, budget, focus, tiles, priority, is_list: true })
 }
 
-fn take_extras(fields: &mut Map<String, Value>, path: &str) -> ApiResult<(Option<Budget>, Option<Focus>)> {
-    let mut budget = None;
-    if let Some(value) = fields.remove("budget") {
-        budget = Some(read(value, &join(path, "budget"))?);
+/// What an edit, or a list of them, may carry beside.
+struct Extras {
+    budget: Option<Budget>,
+    focus: Option<Focus>,
+    tiles: Option<Tiles>,
+}
+
+fn take_extras(fields: &mut Map<String, Value>, path: &str) -> ApiResult<Extras> {
+    fn take<T: DeserializeOwned>(fields: &mut Map<String, Value>, path: &str, name: &str) -> ApiResult<Option<T>> {
+        fields.remove(name).map(|value| read(value, &join(path, name))).transpose()
     }
-    let mut focus = None;
-    if let Some(value) = fields.remove("focus") {
-        focus = Some(read(value, &join(path, "focus"))?);
-    }
-    Ok((budget, focus))
+    Ok(Extras {
+        budget: take(fields, path, "budget")?,
+        focus: take(fields, path, "focus")?,
+        tiles: take(fields, path, "tiles")?,
+    })
 }
 
 fn parse_op(mut fields: Map<String, Value>, path: &str) -> ApiResult<EditOp> {
@@ -279,6 +287,31 @@ pub(crate) fn to_budget(
     }
     let open_ended = if max_seconds.is_some() || target_rmse.is_some() { max_samples } else { default_samples };
     Ok(JobBudget { samples_per_element: samples_per_element.unwrap_or(open_ended), max_seconds, target_rmse })
+}
+
+/// Elements per tile: at least, at most.
+const TILE_SIZES: (u32, u32) = (16, 1 << 20);
+
+/// How what comes first is cut up, in the engine's terms.
+pub(crate) fn to_tiles(tiles: &Tiles, config: &Config) -> ApiResult<engine::Tiles> {
+    let within = |field: &str, value: Option<u32>, default: u32, (least, most): (u32, u32)| match value {
+        Some(value) if !(least..=most).contains(&value) => {
+            Err(Problem::field(Kind::InvalidValue, join("tiles", field), format!("has to be {least} to {most}")))
+        }
+        _ => Ok(value.unwrap_or(default)),
+    };
+    let default = engine::Tiles::default();
+    let mode = match tiles.mode {
+        None => default.mode,
+        Some(TileMode::Global) => engine::TileMode::Global,
+        Some(TileMode::Incremental) => engine::TileMode::Incremental,
+        Some(TileMode::Continuous) => engine::TileMode::Continuous,
+    };
+    Ok(engine::Tiles {
+        size: within("size", tiles.size, default.size, TILE_SIZES)?,
+        samples: within("samples", tiles.samples, default.samples, (1, config.limits.samples_per_element))?,
+        mode,
+    })
 }
 
 /// What comes first, in the engine's terms.

@@ -9,7 +9,7 @@ use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use serde_json::Value;
 
-use super::edit_parse::{Parsed, parse, to_budget, to_edits, to_focus};
+use super::edit_parse::{Parsed, parse, to_budget, to_edits, to_focus, to_tiles};
 use super::edit_types::{self, EditRequest};
 use super::extract::{ApiPath, ETags, read_body, require_content_type, text_header};
 use super::layers::check_edits;
@@ -18,7 +18,7 @@ use super::types::{Job, to_event_data};
 use super::uploads::{full_problem, memory_problem, next_seed};
 use super::{Shared, find_scene, require_serving};
 use crate::config::Config;
-use crate::engine::{Edit, EditError, EditErrorKind, Focus, Scene, World};
+use crate::engine::{Edit, EditError, EditErrorKind, Focus, Importance, Scene, World};
 use crate::jobs::merge::dragged_by;
 use crate::jobs::queue::JobKind;
 use crate::jobs::{JobSpec, new_record};
@@ -111,11 +111,17 @@ fn read_request(app: &App, head: &Head, body: &[u8]) -> ApiResult<Request> {
     let parsed = parse(body, limits.edits_per_request)?;
     let edits = to_edits(&parsed, &app.assets, limits.name_chars)?;
     let budget = to_budget(parsed.budget, "budget", app.config.defaults.edit_samples, &app.config)?;
-    let focus = parsed.focus.as_ref().map(|focus| to_focus(focus, &head.world)).transpose()?;
+    let importance = read_importance(&parsed, &head.world, &app.config)?;
     let priority = parsed.priority;
     let dragged = dragged_by(&edits);
-    let spec = JobSpec { kind: JobKind::Edit, priority, budget, focus, dragged, seed: 0, sequence: head.sequence };
+    let spec = JobSpec { kind: JobKind::Edit, priority, budget, importance, dragged, seed: 0, sequence: head.sequence };
     Ok(Request { parsed, edits, spec })
+}
+
+fn read_importance(parsed: &Parsed, world: &World, config: &Config) -> ApiResult<Importance> {
+    let focus = parsed.focus.as_ref().map(|focus| to_focus(focus, world)).transpose()?;
+    let tiles = parsed.tiles.as_ref().map(|tiles| to_tiles(tiles, config)).transpose()?;
+    Ok(Importance { focus, tiles })
 }
 
 /// Applies the edits to the head, keeps the request and queues the job: its id and the answer. On an error nothing has
@@ -201,7 +207,7 @@ pub fn read_edits(
     let config = Config::default();
     let parsed = parse(body, config.limits.edits_per_request).map_err(told)?;
     to_budget(parsed.budget, "budget", config.defaults.edit_samples, &config).map_err(told)?;
-    parsed.focus.as_ref().map(|focus| to_focus(focus, world)).transpose().map_err(told)?;
+    read_importance(&parsed, world, &config).map_err(told)?;
     to_edits(&parsed, &held, config.limits.name_chars).map_err(told)
 }
 

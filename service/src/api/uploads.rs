@@ -141,7 +141,15 @@ fn create_scene(
         Some(budget) => {
             let (kind, priority) = (JobKind::Bake, options.priority);
             let seed = next_seed(app.config.seed, &mut head.jobs);
-            let spec = JobSpec { kind, priority, budget, focus: None, dragged: Vec::new(), seed, sequence: 0 };
+            let spec = JobSpec {
+                kind,
+                priority,
+                budget,
+                importance: engine::Importance::default(),
+                dragged: Vec::new(),
+                seed,
+                sequence: 0,
+            };
             let ticket = app.ticket(scene.number).map_err(full_problem)?;
             let job = new_record(ticket.number, &scene, &spec);
             Some((ticket, job))

@@ -18,17 +18,24 @@ use super::{Mode, Options, PreparedCase, Reference, Watcher};
 /// Noise that two runs of the same number of samples may differ by: an error counts as reached up to this factor.
 const TOLERANCE: f64 = 1.1;
 
+/// What somebody looks at, as edits carry it.
+pub(super) struct View<'a> {
+    pub(super) focus: &'a Value,
+    pub(super) tiles: Option<&'a Value>,
+    /// Samples per element of an edit.
+    pub(super) samples: u32,
+}
+
 /// Runs a case's edit through the service with and without the focus.
 pub(super) fn measure(
     case: &PreparedCase,
-    focus: &Value,
-    samples: u32,
+    view: &View<'_>,
     options: &Options,
     watcher: &mut dyn Watcher,
 ) -> Result<StudyCase> {
     let mode = options.mode;
-    let view = crate::api::read_focus(focus, &case.before).map_err(anyhow::Error::msg)?;
-    let is_seen = looked_at(&case.after, &view);
+    let looks = crate::api::read_focus(view.focus, &case.before).map_err(anyhow::Error::msg)?;
+    let is_seen = looked_at(&case.after, &looks);
     let (share, count) = share_of(&case.after, &is_seen);
     ensure!(count > 0, "focus: there is no element in it");
     watcher.step(&case.name, "reference");
@@ -38,11 +45,12 @@ pub(super) fn measure(
     for k in 0..options.seeds {
         watcher.step(&case.name, &format!("run {}", k + 1));
         let base = Base::of_run(options, k);
-        let one = |focus: Option<&Value>| -> Result<Vec<Point>> {
-            let seen = with_session(&case.before, base, async |session| follow(session, case, focus, samples).await)?;
+        let one = |with_focus: bool| -> Result<Vec<Point>> {
+            let work = async |session| follow(session, case, view, with_focus).await;
+            let seen = with_session(&case.before, base, work)?;
             Ok(seen.into_iter().map(|seen| point(seen, &reference, mode)).collect())
         };
-        runs.push([one(None)?, one(Some(focus))?]);
+        runs.push([one(false)?, one(true)?]);
     }
     let first = runs.first().context("no run")?;
     Ok(StudyCase {
@@ -58,11 +66,12 @@ pub(super) fn measure(
     })
 }
 
-async fn follow(mut session: Session, case: &PreparedCase, focus: Option<&Value>, samples: u32) -> Result<Vec<Seen>> {
+async fn follow(mut session: Session, case: &PreparedCase, view: &View<'_>, with_focus: bool) -> Result<Vec<Seen>> {
     let edits = session.to_json(&case.edits).await?;
-    let mut body = json!({ "edits": edits, "budget": { "samples_per_element": samples } });
-    if let Some(focus) = focus {
-        body["focus"] = focus.clone();
+    let mut body = json!({ "edits": edits, "budget": { "samples_per_element": view.samples } });
+    if with_focus {
+        body["focus"] = view.focus.clone();
+        view.tiles.into_iter().for_each(|tiles| body["tiles"] = tiles.clone());
     }
     let start = Instant::now();
     let job = session.edit(&body).await?;

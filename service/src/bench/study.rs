@@ -17,6 +17,9 @@ pub enum Study {
     Focus {
         /// The focus of all edits, as the API takes it.
         focus: Value,
+        /// In which steps, as the API takes it.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        tiles: Option<Value>,
         /// Samples per element of an edit.
         samples: u32,
     },
@@ -106,7 +109,10 @@ pub fn run_study(
     let mut report = StudyReport { study: study.clone(), setup, cases: Vec::new() };
     subject.each_case((options, spacing), is_wanted, watcher, |case, watcher| {
         report.cases.push(match study {
-            Study::Focus { focus, samples } => focus::measure(case, focus, *samples, options, watcher)?,
+            Study::Focus { focus, tiles, samples } => {
+                let view = focus::View { focus, tiles: tiles.as_ref(), samples: *samples };
+                focus::measure(case, &view, options, watcher)?
+            }
             Study::Drag { moves } => drag::measure(case, *moves, options, watcher)?,
         });
         watcher.study_case_done(&report)

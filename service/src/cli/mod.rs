@@ -57,7 +57,7 @@ enum Command {
     /// Bake the light map of a scene file, without a service
     Bake(bake::BakeArgs),
     /// Measure speed against error of updates and of bakes from scratch, side by side
-    Bench(bench::BenchArgs),
+    Bench(Box<bench::BenchArgs>),
     /// Upload a scene and bake it
     Push(remote::PushArgs),
     /// Change a scene: insert, remove, move or repaint objects, change lights
@@ -100,7 +100,7 @@ pub(crate) fn run() -> ExitCode {
             Command::Serve(args) => serve::serve(args).await,
             Command::Demo(args) => demo::demo(args).await,
             Command::Bake(args) => bake::bake(args).await,
-            Command::Bench(args) => bench::bench(args).await,
+            Command::Bench(args) => bench::bench(*args).await,
             Command::Push(args) => remote::push(args).await,
             Command::Edit(args) => remote::edit(&args).await,
             Command::Watch(args) => remote::watch(args).await,
@@ -147,6 +147,7 @@ mod tests {
             "rebake bench -o r.json --methods paper --iterations 1,2,4 --path-length 3 --paper-equation 3",
             "rebake bench room.glb e.json -o r.json --samples 4,16 --mode indirect --seeds 1 --threads 2 --spacing 0.1",
             "rebake bench -o r.json --measure focus --focus {\"camera\":0} --samples 32",
+            "rebake bench -o r.json --measure focus --tiles {\"mode\":\"incremental\",\"size\":64}",
             "rebake bench room.glb e.json -o r.json --measure drag --moves 30",
             "rebake push room.glb --server http://h:1 --name room --spacing 0.05 --wait",
             "rebake edit s1 --json -",
@@ -187,6 +188,7 @@ mod tests {
             "rebake bench room.glb e.json -o r.json --budget-seconds 1,0",
             "rebake bench room.glb e.json -o r.json --budget-seconds 1 --samples 4",
             "rebake bench -o r.json --measure focus --focus {",
+            "rebake bench -o r.json --measure focus --tiles {\"mode\":\"spiral\"}",
             "rebake push room.glb --environment 1,2",
             "rebake push room.glb --spacing nan",
             "rebake edit s1",

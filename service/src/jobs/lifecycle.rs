@@ -8,7 +8,7 @@ use rayon::ThreadPool;
 use super::observer::JobBudget;
 use super::queue::{Change, Full, Job, JobKind, JobNumber, JobProgress, JobState, Outcome, SceneNumber};
 use super::scheduler::{self, Decision};
-use super::{State, Stop, merge, worker};
+use super::{JobSpec, State, Stop, merge, worker};
 use crate::api::types;
 use crate::engine::Progress;
 use crate::metrics::{JobEnd, Metrics};
@@ -323,7 +323,8 @@ impl App {
 }
 
 impl State {
-    /// Tells the job of a scene where the next one is the next step of the same drag.
+    /// Tells the job of a scene where the next one is the next step of the same drag, or a newer edit of what goes tile by
+    /// tile.
     fn supersede(&self, scene: SceneNumber) {
         let Some(running) = self.queue.running_on(scene) else { return };
         let next = self.queue.open_of(scene).into_iter().find(|job| *job > running);
@@ -331,8 +332,7 @@ impl State {
         if let Some((job, next)) = next
             && let Some(handle) = self.handles.get(&running)
             && job.is_in_line()
-            && !handle.spec.dragged.is_empty()
-            && handle.spec.dragged.iter().all(|light| next.spec.dragged.contains(light))
+            && (handle.spec.yields() && job.kind == JobKind::Edit || is_next_step(&handle.spec, &next.spec))
         {
             handle.stop.supersede();
         }
@@ -364,6 +364,11 @@ impl State {
         }
         batch
     }
+}
+
+/// Whether all that is dragged goes on being dragged.
+fn is_next_step(running: &JobSpec, next: &JobSpec) -> bool {
+    !running.dragged.is_empty() && running.dragged.iter().all(|light| next.dragged.contains(light))
 }
 
 fn count_end(metrics: &Metrics, job: &Job) {

@@ -25,7 +25,7 @@ use tokio::sync::watch;
 use crate::api::types;
 use crate::compute::build_pool;
 use crate::config::Config;
-use crate::engine::{Budget, Focus};
+use crate::engine::{Budget, Importance};
 use crate::events::EventLog;
 use crate::state::App;
 use crate::store::lighting::Sequence;
@@ -40,7 +40,8 @@ pub(crate) struct JobSpec {
     pub(crate) kind: JobKind,
     pub(crate) priority: Priority,
     pub(crate) budget: JobBudget,
-    pub(crate) focus: Option<Focus>,
+    /// What comes first.
+    pub(crate) importance: Importance,
     pub(crate) seed: u64,
     /// Lights that are dragged, where the request does nothing else: an estimate comes first, and the next step of the
     /// drag ends the rest.
@@ -50,6 +51,12 @@ pub(crate) struct JobSpec {
 }
 
 impl JobSpec {
+    /// A newer edit of the scene ends the order of its tiles: what somebody looks at then is elsewhere. Steps of a drag
+    /// have a rule of their own.
+    pub(crate) fn yields(&self) -> bool {
+        self.importance.tiles.is_some() && self.dragged.is_empty()
+    }
+
     /// What the engine is told; time is the observer's business.
     fn engine_budget(&self) -> Budget {
         Budget { samples_per_element: self.budget.samples_per_element, target_rmse: self.budget.target_rmse }
@@ -74,7 +81,8 @@ impl Stop {
         self.0.fetch_max(Stop::CANCEL, Ordering::Relaxed);
     }
 
-    /// The next step of a drag waits: this one ends with its estimate, and has succeeded.
+    /// The next step of a drag waits: this one ends with its estimate, and has succeeded. Or a newer edit does: tiles that
+    /// are not done are left, and it ends with its first complete map.
     pub(crate) fn supersede(&self) {
         self.1.store(true, Ordering::Relaxed);
     }
@@ -234,7 +242,8 @@ impl State {
         Some(JobRecord {
             job,
             budget: spec.budget,
-            focus: spec.focus.map(Into::into),
+            focus: spec.importance.focus.map(Into::into),
+            tiles: spec.importance.tiles.map(Into::into),
             dragged: spec.dragged.clone(),
             seed: spec.seed,
             sequence: spec.sequence,
@@ -246,7 +255,7 @@ impl State {
             kind: record.job.kind,
             priority: record.job.priority,
             budget: record.budget,
-            focus: record.focus.map(Into::into),
+            importance: record.importance(),
             dragged: record.dragged.clone(),
             seed: record.seed,
             sequence: record.sequence,
@@ -262,7 +271,8 @@ pub(crate) fn new_record(number: JobNumber, scene: &SceneEntry, spec: &JobSpec) 
     JobRecord {
         job: Job::new(number, scene.number, spec.kind, spec.priority, Timestamp::now()),
         budget: spec.budget,
-        focus: spec.focus.map(Into::into),
+        focus: spec.importance.focus.map(Into::into),
+        tiles: spec.importance.tiles.map(Into::into),
         dragged: spec.dragged.clone(),
         seed: spec.seed,
         sequence: spec.sequence,

@@ -119,8 +119,12 @@ pub(crate) struct JobObserver<'a> {
     complete: AtomicBool,
     /// What is under way is a step of a drag: the next one ends it once there is anything to show.
     pub(crate) drags: bool,
+    /// What is under way goes tile by tile: a newer edit ends it once there is a complete map that states its error.
+    pub(crate) yields: bool,
     /// An estimate is published.
     estimated: AtomicBool,
+    /// There is a complete map that states its error.
+    stated: AtomicBool,
 }
 
 #[derive(Default)]
@@ -159,7 +163,9 @@ impl<'a> JobObserver<'a> {
             state: Mutex::default(),
             complete: AtomicBool::new(false),
             drags: false,
+            yields: false,
             estimated: AtomicBool::new(false),
+            stated: AtomicBool::new(false),
         }
     }
 
@@ -167,7 +173,8 @@ impl<'a> JobObserver<'a> {
     pub(crate) fn begin(&mut self, sequence: Sequence, floor: Option<f32>) {
         self.sequence = sequence;
         self.complete = AtomicBool::new(false);
-        (self.drags, self.estimated) = (false, AtomicBool::new(false));
+        (self.drags, self.yields) = (false, false);
+        (self.estimated, self.stated) = (AtomicBool::new(false), AtomicBool::new(false));
         let mut state = self.lock();
         state.latest = None;
         state.held_back = None;
@@ -204,10 +211,11 @@ impl<'a> JobObserver<'a> {
         self.lock().cut || self.is_overdue() || self.is_superseded()
     }
 
-    /// There is something to show, and the next step of the drag waits.
+    /// There is something to show, and the next step of the drag waits; or a complete map, and a newer edit does.
     fn is_superseded(&self) -> bool {
         let is_shown = self.estimated.load(Ordering::Relaxed) || self.complete.load(Ordering::Relaxed);
-        self.drags && self.stop.is_superseded() && is_shown
+        let is_stated = self.stated.load(Ordering::Relaxed);
+        self.stop.is_superseded() && (self.drags && is_shown || self.yields && is_stated)
     }
 
     /// The next step of the drag has ended this one before it had more than an estimate.
@@ -271,6 +279,10 @@ impl Observer for JobObserver<'_> {
         }
     }
 
+    fn leaves_first(&self) -> bool {
+        self.yields && self.stop.is_superseded()
+    }
+
     fn snapshot(&self, map: &Arc<LightMap>, progress: &Progress) {
         let map = &lengthened(map, self.slots);
         {
@@ -279,6 +291,7 @@ impl Observer for JobObserver<'_> {
             if progress.samples_per_element > 0 {
                 state.latest = Some(map.clone());
                 self.complete.store(true, Ordering::Relaxed);
+                self.stated.store(progress.estimated_rmse.is_some(), Ordering::Relaxed);
             }
             let is_worse = |floor: f32| progress.estimated_rmse.is_none_or(|rmse| rmse.is_nan() || rmse > floor);
             if state.floor.is_some_and(is_worse) {

@@ -132,6 +132,7 @@ fn light_step(
     }
     scene.drag.drop_stale(&transition.after);
     observer.drags = is_last && !dragged_by(&step.edits).is_empty();
+    observer.yields = is_last && spec.yields();
     if observer.drags {
         first_frame(observer, scene, transition, &map, spec.seed);
     }
@@ -141,8 +142,8 @@ fn light_step(
         None => (transition, &map, &step.edits),
     };
     let budget = &spec.engine_budget();
-    let focus = spec.focus.as_ref().filter(|_| is_last);
-    let work = Update { transition, map, budget, focus, seed: spec.seed.wrapping_add(index as u64) };
+    let importance = Some(&spec.importance).filter(|_| is_last);
+    let work = Update { transition, map, budget, importance, seed: spec.seed.wrapping_add(index as u64) };
     let result = observer.app.config.engine.update(&work, &*observer).map(|map| lengthened(&map, step.slots));
     if result.is_err() && observer.ended_as_estimate() {
         // The estimate stays in sight, but the next step starts from the light that is right.

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::lighting::Sequence;
 use super::versions::{Lineage, Mode};
-use crate::engine::{Focus, LightMap};
+use crate::engine::{Focus, Importance, LightMap, TileMode, Tiles};
 use crate::jobs::observer::JobBudget;
 use crate::jobs::queue::{Job, JobNumber, SceneNumber};
 
@@ -33,9 +33,18 @@ pub(crate) struct JobRecord {
     pub(crate) budget: JobBudget,
     pub(crate) focus: Option<StoredFocus>,
     #[serde(default)]
+    pub(crate) tiles: Option<StoredTiles>,
+    #[serde(default)]
     pub(crate) dragged: Vec<String>,
     pub(crate) seed: u64,
     pub(crate) sequence: Sequence,
+}
+
+impl JobRecord {
+    /// What comes first.
+    pub(crate) fn importance(&self) -> Importance {
+        Importance { focus: self.focus.map(Into::into), tiles: self.tiles.map(Into::into) }
+    }
 }
 
 /// What a client looks at.
@@ -65,6 +74,43 @@ impl From<StoredFocus> for Focus {
             }
             StoredFocus::Sphere { point, radius } => Focus::Sphere { point: point.into(), radius },
         }
+    }
+}
+
+/// How what comes first is cut up.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct StoredTiles {
+    size: u32,
+    samples: u32,
+    mode: StoredMode,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+enum StoredMode {
+    Global,
+    Incremental,
+    Continuous,
+}
+
+impl From<Tiles> for StoredTiles {
+    fn from(Tiles { size, samples, mode }: Tiles) -> StoredTiles {
+        let mode = match mode {
+            TileMode::Global => StoredMode::Global,
+            TileMode::Incremental => StoredMode::Incremental,
+            TileMode::Continuous => StoredMode::Continuous,
+        };
+        StoredTiles { size, samples, mode }
+    }
+}
+
+impl From<StoredTiles> for Tiles {
+    fn from(StoredTiles { size, samples, mode }: StoredTiles) -> Tiles {
+        let mode = match mode {
+            StoredMode::Global => TileMode::Global,
+            StoredMode::Incremental => TileMode::Incremental,
+            StoredMode::Continuous => TileMode::Continuous,
+        };
+        Tiles { size, samples, mode }
     }
 }
 

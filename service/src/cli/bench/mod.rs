@@ -66,6 +66,10 @@ pub(super) struct BenchArgs {
     /// For --measure focus: what somebody looks at, as the API takes it [default: the scene's first camera]
     #[arg(long, value_name = "JSON", value_parser = focus_json)]
     focus: Option<serde_json::Value>,
+    /// For --measure focus: in which steps, as the API takes it, such as {"mode":"incremental","size":256} [default: all
+    /// that is looked at together]
+    #[arg(long, value_name = "JSON", value_parser = tiles_json)]
+    tiles: Option<serde_json::Value>,
     /// For --measure drag: how many moves
     #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u32).range(2..))]
     moves: u32,
@@ -199,6 +203,12 @@ fn json_file(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     let json = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("json"));
     if json { Ok(path) } else { Err("the file has to end in .json".to_owned()) }
+}
+
+/// With a wrong field refused here rather than by the service once its scene is baked.
+fn tiles_json(text: &str) -> Result<serde_json::Value, String> {
+    serde_json::from_str::<rebake::api::edit_types::Tiles>(text).map_err(|error| error.to_string())?;
+    focus_json(text)
 }
 
 fn focus_json(text: &str) -> Result<serde_json::Value, String> {

@@ -22,6 +22,7 @@ pub(super) fn study(args: &BenchArgs) -> Option<Study> {
         What::Edits => None,
         What::Focus => Some(Study::Focus {
             focus: args.focus.clone().unwrap_or_else(|| json!({ "camera": 0 })),
+            tiles: args.tiles.clone(),
             samples: args.samples.first().copied().unwrap_or(SAMPLES),
         }),
         What::Drag => Some(Study::Drag { moves: args.moves }),

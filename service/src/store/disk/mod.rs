@@ -95,7 +95,7 @@ mod tests {
     fn job(number: u64, scene: u64) -> JobRecord {
         let budget = JobBudget { samples_per_element: 4, max_seconds: Some(0.1), target_rmse: Some(1e-3) };
         let job = Job::new(number, scene, JobKind::Bake, Priority::High, Timestamp::now());
-        JobRecord { job, budget, focus: None, dragged: Vec::new(), seed: u64::MAX - 1, sequence: 0 }
+        JobRecord { job, budget, focus: None, tiles: None, dragged: Vec::new(), seed: u64::MAX - 1, sequence: 0 }
     }
 
     #[test]
