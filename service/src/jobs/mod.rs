@@ -82,7 +82,7 @@ impl Stop {
     }
 
     /// The next step of a drag waits: this one ends with its estimate, and has succeeded. Or a newer edit does: tiles that
-    /// are not done are left, and it ends with its first complete map.
+    /// are not done are left, and it ends with its first complete map that states its error.
     pub(crate) fn supersede(&self) {
         self.1.store(true, Ordering::Relaxed);
     }
