@@ -1,6 +1,6 @@
 //! Independent rounds of unequal size, averaged; their scatter is the variance of the average.
 
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::transport::Value;
@@ -19,6 +19,8 @@ pub(crate) struct Accumulator<V> {
     rounds: u32,
     /// Σ over slots of the variance of the mean, as the last round and the mean of those before it tell it.
     last: f64,
+    /// The same, as the scatter of all rounds tells it.
+    scatter: f64,
 }
 
 /// Slots per partial sum: fixed, so that sums do not depend on the number of threads.
@@ -37,6 +39,7 @@ impl<V: Value> Accumulator<V> {
             samples: 0,
             rounds: 0,
             last: 0.0,
+            scatter: 0.0,
         }
     }
 
@@ -47,26 +50,25 @@ impl<V: Value> Accumulator<V> {
 
     /// Adds a round of `samples` samples per element.
     pub(crate) fn add(&mut self, samples: u32, direct: &[V], indirect: &[V]) {
-        let weight = samples as f32;
-        if self.rounds > 0 {
-            self.last = self.difference(samples, direct, indirect);
-        }
+        let before = self.samples;
         self.samples += samples;
         self.rounds += 1;
-        let weights = &self.weights;
-        let square = |light: Vec3| f64::from(samples) * light.as_dvec3().length_squared() / 3.0;
-        let sums = self.direct.par_iter_mut().zip(&mut self.indirect).zip(&mut self.squares);
-        sums.zip(direct.par_iter().zip(indirect)).with_min_len(CHUNK).for_each(|(((d, i), q), (direct, indirect))| {
-            *d += *direct * weight;
-            *i += *indirect * weight;
-            *q += square((*direct + *indirect).weighted(weights));
-        });
-        let layers = weights.len();
-        let squares = self.layer_squares.par_chunks_mut(layers).zip(direct.par_iter().zip(indirect));
-        squares.with_min_len(CHUNK).for_each(|(squares, (direct, indirect))| {
-            let total = *direct + *indirect;
-            squares.iter_mut().enumerate().for_each(|(layer, q)| *q += square(total.layer(layer)));
-        });
+        let scatter = Scatter { samples: self.samples, rounds: self.rounds };
+        let (weights, layers) = (&self.weights, self.weights.len());
+        let mut layer_squares = self.layer_squares.chunks_mut(CHUNK * layers);
+        let sums =
+            self.direct.chunks_mut(CHUNK).zip(self.indirect.chunks_mut(CHUNK)).zip(self.squares.chunks_mut(CHUNK));
+        let with_layers = |((d, i), q)| Sums {
+            direct: d,
+            indirect: i,
+            squares: q,
+            layer_squares: layer_squares.next().unwrap_or_default(),
+        };
+        let sums: Vec<Sums<V>> = sums.map(with_layers).collect();
+        let light = direct.par_chunks(CHUNK).zip(indirect.par_chunks(CHUNK));
+        let add = |(mut sums, light): (Sums<V>, (&[V], &[V]))| sums.add(weights, (before, samples), light, scatter);
+        let partials: Vec<(f64, f64)> = sums.into_par_iter().zip(light).map(add).collect();
+        (self.last, self.scatter) = partials.into_iter().fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
     }
 
     /// Mean of the direct part of all rounds.
@@ -84,20 +86,6 @@ impl<V: Value> Accumulator<V> {
         self.rounds >= 2
     }
 
-    /// With the means a and b of n and m samples, (a − b)² n m / (n + m)² estimates the variance of the mean of all.
-    fn difference(&self, samples: u32, direct: &[V], indirect: &[V]) -> f64 {
-        let (n, m) = (f64::from(self.samples), f64::from(samples));
-        let whole = |d: V, i: V| (d + i).weighted(&self.weights).as_dvec3();
-        let square = |k: usize| {
-            let before: DVec3 = whole(self.direct[k], self.indirect[k]) / n;
-            (before - whole(direct[k], indirect[k])).length_squared() / 3.0
-        };
-        let len = self.direct.len();
-        let of_chunk = |c: usize| (c * CHUNK..len.min((c + 1) * CHUNK)).map(square).sum::<f64>();
-        let squares: Vec<f64> = (0..len.div_ceil(CHUNK)).into_par_iter().map(of_chunk).collect();
-        squares.into_iter().sum::<f64>() * n * m / ((n + m) * (n + m))
-    }
-
     /// Variance of the mean of direct + indirect of the whole, mean over RGB: with rounds x_r of n_r samples and variance
     /// σ²/n_r, Σ n_r (x_r − x̄)² / (R − 1) estimates σ², and the mean has σ² / Σ n_r. Low-discrepancy samples do better
     /// than 1/n: the whole is scaled to what the last round and those before it, which weigh most, say.
@@ -105,38 +93,93 @@ impl<V: Value> Accumulator<V> {
         if !self.knows_variance() {
             return vec![0.0; self.squares.len()];
         }
-        let scatter = self.scatter();
-        let scale = self.scale(&scatter);
-        scatter.into_par_iter().with_min_len(CHUNK).map(|v| (v * scale) as f32).collect()
+        let (scale, scatter) = (self.scale(), self.of_rounds());
+        let sums = self.direct.par_iter().zip(&self.indirect).zip(&self.squares).with_min_len(CHUNK);
+        sums.map(|((d, i), q)| (scatter.of(*q, (*d + *i).weighted(&self.weights)) * scale) as f32).collect()
     }
 
     /// The same of each layer, layers of a slot side by side; empty for one layer.
     pub(crate) fn layer_variance(&self) -> Vec<f32> {
+        let mut variance = vec![0.0; self.layer_squares.len()];
         if !self.knows_variance() {
-            return vec![0.0; self.layer_squares.len()];
+            return variance;
         }
-        let (scale, layers) = (self.scale(&self.scatter()), self.weights.len());
-        let of = |(k, q): (usize, &f64)| {
-            let total = self.direct[k / layers] + self.indirect[k / layers];
-            (self.scatter_of(*q, total.layer(k % layers)) * scale) as f32
-        };
-        self.layer_squares.par_iter().enumerate().with_min_len(CHUNK).map(of).collect()
+        let (layers, scale, scatter) = (self.weights.len(), self.scale(), self.of_rounds());
+        let sums = self.layer_squares.par_chunks(layers).zip(self.direct.par_iter().zip(&self.indirect));
+        variance.par_chunks_mut(layers).zip(sums).with_min_len(CHUNK).for_each(|(variance, (squares, (d, i)))| {
+            let total = *d + *i;
+            for (layer, (variance, square)) in variance.iter_mut().zip(squares).enumerate() {
+                *variance = (scatter.of(*square, total.layer(layer)) * scale) as f32;
+            }
+        });
+        variance
     }
 
-    fn scatter(&self) -> Vec<f64> {
-        let sums = self.direct.par_iter().zip(&self.indirect).zip(&self.squares).with_min_len(CHUNK);
-        sums.map(|((d, i), q)| self.scatter_of(*q, (*d + *i).weighted(&self.weights))).collect()
+    fn of_rounds(&self) -> Scatter {
+        Scatter { samples: self.samples, rounds: self.rounds }
     }
 
-    fn scatter_of(&self, squares: f64, sum: Vec3) -> f64 {
+    fn scale(&self) -> f64 {
+        if self.scatter > 0.0 { (self.last / self.scatter).clamp(LEAST_SCALE, 1.0) } else { 1.0 }
+    }
+}
+
+/// Variance of the mean of so many rounds and samples, from their scatter.
+#[derive(Clone, Copy)]
+struct Scatter {
+    samples: u32,
+    rounds: u32,
+}
+
+impl Scatter {
+    fn of(self, squares: f64, sum: Vec3) -> f64 {
         let n = f64::from(self.samples);
         let mean2 = sum.as_dvec3().length_squared() / (3.0 * n);
         (squares - mean2).max(0.0) / (f64::from(self.rounds - 1) * n)
     }
+}
 
-    fn scale(&self, scatter: &[f64]) -> f64 {
-        let total: f64 = scatter.iter().sum();
-        if total > 0.0 { (self.last / total).clamp(LEAST_SCALE, 1.0) } else { 1.0 }
+/// Sums of some slots.
+struct Sums<'a, V> {
+    direct: &'a mut [V],
+    indirect: &'a mut [V],
+    squares: &'a mut [f64],
+    layer_squares: &'a mut [f64],
+}
+
+impl<V: Value> Sums<'_, V> {
+    /// Adds light of a round of `samples` to that of `before` samples. Sums over the slots: the variance of the mean as
+    /// this round and those before it tell it, and as the scatter of all rounds does. With the means a and b of n and m
+    /// samples, (a − b)² n m / (n + m)² estimates the former. Both are zero for a first round.
+    fn add(
+        &mut self,
+        weights: &[Vec3],
+        (before, samples): (u32, u32),
+        (direct, indirect): (&[V], &[V]),
+        scatter: Scatter,
+    ) -> (f64, f64) {
+        let (n, m) = (f64::from(before), f64::from(samples));
+        let square = |light: Vec3| m * light.as_dvec3().length_squared() / 3.0;
+        let (mut last, mut scattered) = (0.0, 0.0);
+        let layers = weights.len();
+        for (k, (direct, indirect)) in direct.iter().zip(indirect).enumerate() {
+            let (sum_direct, sum_indirect) = (&mut self.direct[k], &mut self.indirect[k]);
+            let light = *direct + *indirect;
+            let whole = light.weighted(weights);
+            if before > 0 {
+                let mean = (*sum_direct + *sum_indirect).weighted(weights).as_dvec3() / n;
+                last += (mean - whole.as_dvec3()).length_squared() / 3.0;
+            }
+            *sum_direct += *direct * samples as f32;
+            *sum_indirect += *indirect * samples as f32;
+            self.squares[k] += square(whole);
+            if before > 0 {
+                scattered += scatter.of(self.squares[k], (*sum_direct + *sum_indirect).weighted(weights));
+            }
+            let squares = self.layer_squares.iter_mut().skip(k * layers).take(layers);
+            squares.enumerate().for_each(|(layer, sum)| *sum += square(light.layer(layer)));
+        }
+        (last * n * m / ((n + m) * (n + m)), scattered)
     }
 }
 

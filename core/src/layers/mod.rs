@@ -111,6 +111,12 @@ impl LightMap {
 
 /// The map that layers make with their weights. The stated variance takes `correlation` between layers as it is.
 pub(crate) fn whole(layers: Vec<Arc<Layer>>, weights: &[Vec3], correlation: f64) -> LightMap {
+    let variance = variance_of(&layers, weights, correlation);
+    whole_with(layers, weights, variance)
+}
+
+/// The same, where the variance is known.
+pub(crate) fn whole_with(layers: Vec<Arc<Layer>>, weights: &[Vec3], variance: Vec<f32>) -> LightMap {
     let len = layers.first().map_or(0, |layer| layer.direct.len());
     let sum = |part: fn(&Layer) -> &[Vec3]| -> Vec<Vec3> {
         let mut out = vec![Vec3::ZERO; len];
@@ -123,7 +129,6 @@ pub(crate) fn whole(layers: Vec<Arc<Layer>>, weights: &[Vec3], correlation: f64)
         out
     };
     let (direct, indirect) = (sum(|l| &l.direct), sum(|l| &l.indirect));
-    let variance = variance_of(&layers, weights, correlation);
     LightMap { direct, indirect, variance, layers }
 }
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Header, Layer, whole};
+use super::{Header, Layer, whole, whole_with};
 use crate::accumulate::Accumulator;
 use crate::lightmap::LightMap;
 use crate::transport::Value;
@@ -33,10 +33,9 @@ pub(crate) struct Computed {
 impl Computed {
     /// The map of these layers alone.
     pub(crate) fn into_map(self, weights: &[Vec3]) -> LightMap {
-        let map = whole(self.layers, weights, 0.0);
         match self.variance {
-            Some(variance) => LightMap { variance, ..map },
-            None => map,
+            Some(variance) => whole_with(self.layers, weights, variance),
+            None => whole(self.layers, weights, 0.0),
         }
     }
 }
@@ -91,8 +90,9 @@ impl<V: Value> Stack<V> {
     pub(crate) fn of_layers(layers: &[Arc<Layer>], variance: &[f32], len: usize) -> Stack<V> {
         let side_by_side = |part: fn(&Layer) -> &[Vec3]| -> Vec<V> {
             let value = |slot: usize| {
-                let of = |(k, layer): (usize, &Arc<Layer>)| V::of_layer(k as u32, part(layer)[slot]);
-                layers.iter().enumerate().map(of).sum()
+                let mut value = V::default();
+                layers.iter().zip(0..).for_each(|(layer, k)| value.add_to_layer(k, part(layer)[slot]));
+                value
             };
             (0..len).into_par_iter().with_min_len(CHUNK).map(value).collect()
         };

@@ -5,10 +5,11 @@ use std::cell::RefCell;
 use std::sync::Arc;
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::plan::{Header, Plan, wants_layers};
 use super::regroup::{Pieces, renamed};
-use super::{Computed, Layer, Stack, correlation, weights_of, weights_within, whole};
+use super::{Computed, Layer, Stack, correlation, weights_of, weights_within, whole, whole_with};
 use crate::bake::bake_layers;
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer, Pass, Progress};
@@ -125,10 +126,9 @@ impl Update<'_> {
         let finish = |computed: Computed| {
             let pieces = self.pieces(&computed.layers);
             let layers = self.unchanged(&pieces.regroup());
-            let map = whole(layers, &self.weights, self.correlation);
             let variance = pieces.variance(&self.weights, self.correlation);
             last.replace(computed.layers);
-            LightMap { variance, ..map }
+            whole_with(layers, &self.weights, variance)
         };
         let quiet = Quiet(self.work.observer());
         let quiet = Work::new(&quiet);
@@ -159,10 +159,9 @@ impl Update<'_> {
         let finish = |computed: Computed| {
             let mut new = computed.layers.into_iter();
             let layers: Vec<Arc<Layer>> = kept.iter().filter_map(|k| k.clone().or_else(|| new.next())).collect();
-            let map = whole(layers, &self.weights, self.correlation);
             match computed.variance.filter(|_| changed.len() == self.plan.after.len()) {
-                Some(variance) => LightMap { variance, ..map },
-                None => map,
+                Some(variance) => whole_with(layers, &self.weights, variance),
+                None => whole(layers, &self.weights, self.correlation),
             }
         };
         let headers: Vec<Header> = changed.iter().map(|&k| self.plan.after[k].0.clone()).collect();
@@ -209,7 +208,7 @@ fn run_change<V: Value>(
     work: &Work,
     finish: &dyn Fn(Computed) -> LightMap,
 ) -> Result<Option<Updated>, Canceled> {
-    let around = (0..map.len()).map(|slot| map.total(slot)).collect::<Vec<Vec3>>();
+    let around: Vec<Vec3> = (0..map.len()).into_par_iter().map(|slot| map.total(slot)).collect();
     let around = transition.carry(&around, 1);
     let stage = Stage {
         transition: change.transition,

@@ -106,7 +106,10 @@ impl<'a> Shading<'a> {
         let field = Field { total: &self.totals, direct: &self.totals, rough: &rough };
         let from = (surfel.position + surfel.normal * self.world.epsilon, surfel.normal);
         let direction = cosine_hemisphere(surfel.normal, rng.next_2d());
-        field.source(self.world, None).along(self.world, u32::MAX, from, direction, 0.0, rng, &mut 0).0
+        let (mut light, rays, source) = (Vec3::ZERO, &mut 0, field.source(self.world, None));
+        let (_, landed) = source.along(self.world, u32::MAX, from, direction, 0.0, rng, rays, &mut light);
+        source.add_landed(landed, rng, rays, &mut light);
+        light
     }
 }
 

@@ -9,6 +9,9 @@ use crate::world::{Hidden, Placed, World};
 
 const NONE: u32 = u32::MAX;
 
+/// Elements per task.
+const CHUNK: usize = 1024;
+
 /// Representatives of all objects, and the way back from their values to all elements.
 pub(crate) struct Subset {
     /// Element slots of the representatives, object by object.
@@ -122,9 +125,8 @@ impl Subset {
     /// Values at the representatives carried to all slots; zero in holes.
     pub(crate) fn interpolate<V: Value>(&self, values: &[V]) -> Vec<V> {
         let mut out = vec![V::default(); self.len];
-        let filled: Vec<Vec<V>> = self.sides.par_iter().map(|side| side.interpolate(values)).collect();
-        for (side, filled) in self.sides.iter().zip(filled) {
-            out[side.first_slot as usize..][..filled.len()].copy_from_slice(&filled);
+        for side in &self.sides {
+            side.interpolate(values, &mut out[side.first_slot as usize..]);
         }
         out
     }
@@ -176,18 +178,19 @@ impl Side {
         last.or_else(|| self.alone.binary_search_by_key(&element, |a| a.0).ok().map(|k| self.alone[k].1))
     }
 
-    fn interpolate<V: Value>(&self, values: &[V]) -> Vec<V> {
-        let mut out: Vec<V> = (0..self.placed.surface.positions.len() as u32)
-            .map(|element| {
-                let (mut sum, mut weight) = (V::default(), 0.0);
-                for (i, w) in self.entries_of(element) {
-                    sum += values[i] * w;
-                    weight += w;
-                }
-                if weight > 0.0 { sum / weight } else { V::default() }
-            })
-            .collect();
+    /// Writes the values of its elements to the beginning of `out`.
+    fn interpolate<V: Value>(&self, values: &[V], out: &mut [V]) {
+        let out = &mut out[..self.placed.surface.positions.len()];
+        out.par_iter_mut().enumerate().with_min_len(CHUNK).for_each(|(element, out)| {
+            let (mut sum, mut weight) = (V::default(), 0.0);
+            for (i, w) in self.entries_of(element as u32) {
+                sum += values[i] * w;
+                weight += w;
+            }
+            if weight > 0.0 {
+                *out = sum / weight;
+            }
+        });
         self.alone.iter().for_each(|&(element, i)| out[element as usize] = values[i as usize]);
-        out
     }
 }

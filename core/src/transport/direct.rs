@@ -56,7 +56,7 @@ impl DirectLight {
             for k in 0..count {
                 weight += visible_weight(emitter, world, &world.trees, point, n, sequence.get(k), rays);
             }
-            sum += V::of_layer(emitter.layer, emitter.strength * (weight / count as f32));
+            sum.add_to_layer(emitter.layer, emitter.strength * (weight / count as f32));
         }
         if self.environment > 0 {
             let (count, sequence) = (self.environment * factor, R2::new(rng));

@@ -24,11 +24,13 @@ pub(crate) fn gather<V: Value>(
         let sequence = R2::new(&mut rng);
         let aims = source.aims(samples);
         let ratio = aims as f32 / samples as f32;
-        let mut sum = V::default();
+        let (mut sum, mut last) = (V::default(), None);
         for k in 0..samples {
             let direction = cosine_hemisphere(from.1, sequence.get(k));
-            sum += source.along(world, slot, from, direction, ratio, &mut rng, rays).0;
+            let (_, landed) = source.along(world, slot, from, direction, ratio, &mut rng, rays, &mut sum);
+            source.add_landed(std::mem::replace(&mut last, landed), &mut rng, rays, &mut sum);
         }
+        source.add_landed(last, &mut rng, rays, &mut sum);
         let sequence = R2::new(&mut rng);
         for k in 0..aims {
             sum += source.aimed(world, slot, from, sequence.get(k), ratio, &mut rng, rays);

@@ -22,10 +22,21 @@ impl<V, F: Fn(u32, &Surfel, bool, &mut Pcg32, &mut u64) -> V + Sync> Radiance<V>
 pub(crate) struct Source<'a, F, V> {
     /// Of surfaces.
     pub radiance: F,
+    /// What `radiance` looks up in the first place.
+    pub looked_up: &'a [V],
     /// What paths bring that leave the scene behind near surfaces.
     pub sky: V,
     /// Where much of it comes from.
     pub spots: Option<&'a Spots>,
+}
+
+/// Where a path has landed whose light has not been looked up yet. Light of several layers takes longer to come from
+/// memory than to be looked up: it is fetched while the next path is followed.
+pub(crate) struct Landed {
+    surfel: Surfel,
+    /// Share of what is looked up: the product of the albedos before it, and what is left to aimed directions.
+    weight: Vec3,
+    receiver: u32,
 }
 
 impl<V: Value, F: Radiance<V>> Source<'_, F, V> {
@@ -34,8 +45,9 @@ impl<V: Value, F: Radiance<V>> Source<'_, F, V> {
         if self.spots.is_some() { samples.div_ceil(COSINES_PER_AIM) } else { 0 }
     }
 
-    /// What arrives at a point of the element `receiver` from a direction drawn by the cosine, where `ratio` times as
-    /// many are [`Source::aimed`], and how the path ended.
+    /// Adds what arrives at a point of the element `receiver` from a direction drawn by the cosine, where `ratio` times as
+    /// many are [`Source::aimed`], to `light`: all but that of the surface where the path lands, which
+    /// [`Source::add_landed`] adds. Answers how the path ended, too.
     #[inline]
     #[expect(clippy::too_many_arguments, reason = "the inner loop of all gathers")]
     pub(crate) fn along(
@@ -47,22 +59,35 @@ impl<V: Value, F: Radiance<V>> Source<'_, F, V> {
         mut ratio: f32,
         rng: &mut Pcg32,
         rays: &mut u64,
-    ) -> (V, End) {
-        let mut light = V::default();
+        light: &mut V,
+    ) -> (End, Option<Landed>) {
+        let mut landed = None;
         let end = walk(world, from.0, direction, rng, rays, |surfel, weight, near, rng, rays| {
-            let met = (self.radiance)(receiver, surfel, near, rng, rays);
+            let share = self.spots.map_or(1.0, |spots| spots.share(world, from, surfel, ratio));
+            if !near {
+                surfel.fetch(self.looked_up);
+                landed = Some(Landed { surfel: *surfel, weight: weight * share, receiver });
+                return;
+            }
+            *light += (self.radiance)(receiver, surfel, near, rng, rays) * (weight * share);
             receiver = surfel.nearest_element();
-            let Some(spots) = self.spots else { return light += met * weight };
-            light += met * (weight * spots.share(world, from, surfel, ratio));
-            if near {
+            if self.spots.is_some() {
                 (from, ratio) = ((surfel.position + surfel.normal * world.epsilon, surfel.normal), 1.0);
-                light += self.aimed(world, receiver, from, rng.next_2d(), ratio, rng, rays) * (weight * surfel.albedo);
+                *light += self.aimed(world, receiver, from, rng.next_2d(), ratio, rng, rays) * (weight * surfel.albedo);
             }
         });
         if let End::Escaped(weight) = end {
-            light += self.sky * weight;
+            *light += self.sky * weight;
         }
-        (light, end)
+        (end, landed)
+    }
+
+    /// Adds what the surface where a path has landed, if it has, sends along it.
+    #[inline]
+    pub(crate) fn add_landed(&self, landed: Option<Landed>, rng: &mut Pcg32, rays: &mut u64, light: &mut V) {
+        if let Some(Landed { surfel, weight, receiver }) = landed {
+            *light += (self.radiance)(receiver, &surfel, false, rng, rays) * weight;
+        }
     }
 
     /// What arrives from a spot that two numbers in [0, 1) choose, per direction drawn by the cosine.

@@ -211,7 +211,8 @@ mod tests {
             let mut sum = Vec3::ZERO;
             for _ in 0..samples {
                 let direction = cosine_hemisphere(from.1, rng.next_2d());
-                sum += source.along(world, slot, from, direction, ratio, &mut rng, &mut rays).0;
+                let (_, landed) = source.along(world, slot, from, direction, ratio, &mut rng, &mut rays, &mut sum);
+                source.add_landed(landed, &mut rng, &mut rays, &mut sum);
             }
             for _ in 0..aims {
                 sum += source.aimed(world, slot, from, rng.next_2d(), ratio, &mut rng, &mut rays);

@@ -101,6 +101,14 @@ impl Surfel {
         self.elements.map_or(u32::MAX, |e| e[usize::from(u >= a) + usize::from(u >= a + b)])
     }
 
+    /// Has the values of its corners fetched into the cache.
+    #[inline]
+    pub(crate) fn fetch<V>(&self, values: &[V]) {
+        for value in self.elements.iter().flatten().filter_map(|&element| values.get(element as usize)) {
+            fetch(value);
+        }
+    }
+
     /// Barycentric look-up.
     #[inline]
     pub(crate) fn interpolate<V: Value>(&self, elements: [u32; 3], values: &[V]) -> V {
@@ -108,4 +116,24 @@ impl Surfel {
             + values[elements[1] as usize] * self.weights[1]
             + values[elements[2] as usize] * self.weights[2]
     }
+}
+
+/// Has a value fetched into the cache.
+#[inline]
+fn fetch<V>(value: &V) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        const LINE: usize = 64;
+        let first = std::ptr::from_ref(value).cast::<i8>();
+        let end = first.addr() + size_of::<V>();
+        let mut line = first.map_addr(|a| a & !(LINE - 1));
+        while line.addr() < end {
+            // SAFETY: SSE is part of x86-64; a prefetch never faults.
+            unsafe { _mm_prefetch::<_MM_HINT_T0>(line) };
+            line = line.wrapping_add(LINE);
+        }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = value;
 }

@@ -31,6 +31,9 @@ pub(crate) trait Value:
     /// Light of one layer.
     fn of_layer(layer: u32, light: Vec3) -> Self;
 
+    /// Adds to the light of one layer.
+    fn add_to_layer(&mut self, layer: u32, light: Vec3);
+
     /// A layer's light.
     fn layer(&self, layer: usize) -> Vec3;
 
@@ -83,6 +86,11 @@ impl Value for Vec3 {
     }
 
     #[inline]
+    fn add_to_layer(&mut self, _: u32, light: Vec3) {
+        *self += light;
+    }
+
+    #[inline]
     fn layer(&self, _: usize) -> Vec3 {
         *self
     }
@@ -131,6 +139,11 @@ impl<const K: usize> Value for Layered<K> {
         let mut value = Layered::default();
         value.0[layer as usize] = light;
         value
+    }
+
+    #[inline]
+    fn add_to_layer(&mut self, layer: u32, light: Vec3) {
+        self.0[layer as usize] += light;
     }
 
     #[inline]

@@ -154,7 +154,7 @@ impl<V: Value> Field<'_, V> {
         let radiance = move |_: u32, surfel: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64| {
             self.at(world, surfel, near, rng, rays) * surfel.albedo
         };
-        Source { radiance, sky: world.emitters.sky(), spots }
+        Source { radiance, looked_up: self.total, sky: world.emitters.sky(), spots }
     }
 }
 

@@ -101,7 +101,7 @@ impl<'a> DirectChange<'a> {
             for pair in &self.pairs {
                 let count = counts[usize::from(pair.in_after)].samples[pair.samples_share].max(1);
                 let change = self.pair_change(pair, count, point, n, &mut rng, rays);
-                sum += V::of_layer(pair.emitter.layer, change);
+                sum.add_to_layer(pair.emitter.layer, change);
             }
             if environment != V::default() {
                 sum += environment * self.sky_before(point, n, samples, &mut rng, rays);

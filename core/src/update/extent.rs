@@ -1,5 +1,7 @@
 //! Where a quantity is estimated element by element, and where it is interpolated from representatives.
 
+use rayon::prelude::*;
+
 use crate::solve::Subset;
 use crate::transport::Value;
 
@@ -40,10 +42,15 @@ impl Extent {
         if self.spread.is_empty() {
             return;
         }
-        let mut known = vec![V::default(); out.len()];
-        self.fine.iter().zip(fine).for_each(|(&slot, v)| known[slot as usize] = *v);
-        self.representatives.iter().zip(representatives).for_each(|(&slot, v)| known[slot as usize] = *v);
-        let values: Vec<V> = subset.slots.iter().map(|&slot| known[slot as usize]).collect();
+        const NONE: u32 = u32::MAX;
+        let mut place = vec![NONE; out.len()];
+        self.fine.iter().chain(&self.representatives).zip(0..).for_each(|(&slot, k)| place[slot as usize] = k);
+        let value = |&slot: &u32| match place[slot as usize] as usize {
+            k if k < fine.len() => fine[k],
+            k if k - fine.len() < representatives.len() => representatives[k - fine.len()],
+            _ => V::default(),
+        };
+        let values: Vec<V> = subset.slots.par_iter().map(value).collect();
         let field = subset.interpolate(&values);
         self.spread.iter().for_each(|&slot| out[slot as usize] += field[slot as usize]);
     }

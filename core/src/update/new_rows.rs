@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use rayon::prelude::*;
+
 use super::updater::Updater;
 use crate::job::Canceled;
 use crate::random::subseed;
@@ -33,7 +35,7 @@ impl<V: Value> Updater<'_, V> {
         let (world, work) = (self.world, self.work);
         let (samples, nominal) = (round.samples * NEW_ROW_SAMPLES, Effort::default());
         // What they see of the elements that stay: old light, changed direct light.
-        let mut field: Vec<V> = self.old_total.iter().zip(&*direct).map(|(t, d)| *t + *d).collect();
+        let mut field: Vec<V> = self.old_total.par_iter().zip(&*direct).map(|(t, d)| *t + *d).collect();
         let own_direct: Vec<V> = direct_of(world, rows, samples, &nominal, subseed(round.seed, 0xd0), work)?;
         for (&slot, d) in rows.iter().zip(&own_direct) {
             direct[slot as usize] = *d;

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::extent::Extent;
 use super::{Stage, direct, source};
@@ -14,6 +15,9 @@ use crate::rounds::{Estimate, First, Round};
 use crate::solve::{Exchange, Rows, Subset};
 use crate::transport::{Source, Spots, Surfel, Value, Work};
 use crate::world::{Transition, World};
+
+/// Slots per task.
+const CHUNK: usize = 4096;
 
 /// Samples of the propagation per representative and round: at least, at most.
 const PROPAGATION_SAMPLES: (u32, u32) = (8, 64);
@@ -54,7 +58,7 @@ impl<V: Value> Parts<V> {
     /// Direct and indirect light, bounces and all.
     pub(super) fn with(self, bounces: &[V]) -> Estimate<V> {
         let Parts { direct, mut indirect } = self;
-        indirect.iter_mut().zip(bounces).for_each(|(i, b)| *i += *b);
+        indirect.par_iter_mut().zip(bounces).with_min_len(CHUNK).for_each(|(i, b)| *i += *b);
         (direct, indirect)
     }
 }
@@ -73,6 +77,8 @@ pub(super) struct Updater<'a, V> {
     pub(super) before_total: Vec<V>,
     /// Computed elements that keep an old value.
     pub(super) static_rows: Vec<u32>,
+    /// The same by slot.
+    is_static: Vec<bool>,
     pub(super) subset: Subset,
     rows: Arc<Rows>,
     pub(super) source: source::Source<'a>,
@@ -91,6 +97,8 @@ impl<'a, V: Value> Updater<'a, V> {
         transition.new_rows.iter().for_each(|&slot| is_new[slot as usize] = true);
         old.clear(&transition.new_rows);
         let static_rows: Vec<u32> = world.computed_slots().into_iter().filter(|&i| !is_new[i as usize]).collect();
+        let mut is_static = vec![false; world.slots()];
+        static_rows.iter().for_each(|&slot| is_static[slot as usize] = true);
         let subset = Subset::new(world);
         Updater {
             transition,
@@ -103,6 +111,7 @@ impl<'a, V: Value> Updater<'a, V> {
             rows: Arc::new(Rows::all(&subset)),
             source: source::Source::new(transition),
             static_rows,
+            is_static,
             subset,
             direct: direct::DirectChange::new(transition),
             repaint: transition.repaint(),
@@ -165,7 +174,7 @@ impl<'a, V: Value> Updater<'a, V> {
 
         (round.begin)(Pass::Source, 0.4);
         // What the rays of S look up in the new scene: the old map, and the new rows' own values.
-        let mut guess = self.old_total.clone();
+        let mut guess = self.old_total.par_iter().with_min_len(CHUNK).copied().collect::<Vec<V>>();
         for &slot in &self.transition.new_rows {
             guess[slot as usize] = direct[slot as usize] + indirect[slot as usize];
         }
@@ -200,12 +209,12 @@ impl<'a, V: Value> Updater<'a, V> {
         let world = self.world;
         let Parts { direct, indirect } = parts;
         (round.begin)(Pass::Propagation, 0.8);
-        let (mut seen_by_old, mut seen_by_new) = (vec![V::default(); world.slots()], vec![V::default(); world.slots()]);
-        for &slot in &self.static_rows {
-            let slot = slot as usize;
-            seen_by_new[slot] = indirect[slot];
-            seen_by_old[slot] = direct[slot] + indirect[slot];
-        }
+        let seen = |light: &(dyn Fn(usize) -> V + Sync)| -> Vec<V> {
+            let slots = self.is_static.par_iter().enumerate().with_min_len(CHUNK);
+            slots.map(|(slot, is_static)| if *is_static { light(slot) } else { V::default() }).collect()
+        };
+        let mut seen_by_old = seen(&|slot| direct[slot] + indirect[slot]);
+        let mut seen_by_new = seen(&|slot| indirect[slot]);
         // Elements that came out of a solid had a value copied from neighbours, and S has looked that up.
         for &slot in &self.transition.filled_rows {
             let slot = slot as usize;
@@ -234,7 +243,7 @@ impl<'a, V: Value> Updater<'a, V> {
             change + s.interpolate(elements, old_total) * repaint[s.part as usize]
         };
         let spots = Spots::of_map(world, &seen_by_old, self.stage.weights);
-        let source = Source { radiance: change, sky: V::default(), spots: spots.as_ref() };
+        let source = Source { radiance: change, looked_up: &seen_by_old, sky: V::default(), spots: spots.as_ref() };
         let samples = (round.samples * 2).clamp(PROPAGATION_SAMPLES.0, PROPAGATION_SAMPLES.1);
         let samples = (f64::from(samples) * self.weight_of(&seen_by_old)).ceil() as u32;
         let seed = subseed(round.seed, 0x9409);
@@ -252,7 +261,7 @@ impl<'a, V: Value> Updater<'a, V> {
     /// How well a change has to be known beside the noise that the old map has anyway, up to 1.
     fn weight_of(&self, change: &[V]) -> f64 {
         let square = |v: &V| v.weighted(self.stage.weights).length_squared() / 3.0;
-        let squares: Vec<f32> = change.iter().map(square).collect();
+        let squares: Vec<f32> = change.par_iter().with_min_len(CHUNK).map(square).collect();
         let carried = self.mean(&self.old.variance);
         let ratio = if carried > 0.0 { self.mean(&squares) / carried } else { 1.0 };
         if ratio.is_finite() { ratio.clamp(LEAST_WEIGHT, 1.0) } else { 1.0 }

@@ -4,11 +4,15 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::{Placed, Trees, World, build};
 use crate::bvh::Bvh;
 use crate::layers::Layer;
 use crate::lightmap::LightMap;
+
+/// Slots per task.
+const CHUNK: usize = 4096;
 
 /// From one world to the next: what an update needs to know.
 #[derive(Clone)]
@@ -68,19 +72,19 @@ impl Transition {
     }
 
     /// Values in the slots of the new world, `per_slot` side by side.
-    pub(crate) fn carry<T: Copy + Default>(&self, values: &[T], per_slot: usize) -> Vec<T> {
+    pub(crate) fn carry<T: Copy + Default + Send + Sync>(&self, values: &[T], per_slot: usize) -> Vec<T> {
         if self.keeps_slots() {
             return values.to_vec();
         }
         let mut next = vec![T::default(); self.after.slots() * per_slot];
+        let per_slot = per_slot.max(1);
         let (old, new) = (&self.before.geometry.owners, &self.after.geometry.owners);
-        let known = values.len().checked_div(per_slot).unwrap_or(0);
-        for i in 0..old.len().min(new.len()).min(known) {
-            if old[i] == new[i] && new[i] != super::NO_OBJECT {
-                let range = i * per_slot..(i + 1) * per_slot;
-                next[range.clone()].copy_from_slice(&values[range]);
+        let slots = next.par_chunks_mut(per_slot).zip(values.par_chunks(per_slot)).zip(old.par_iter().zip(new));
+        slots.with_min_len(CHUNK).for_each(|((next, value), (old, new))| {
+            if old == new && *new != super::NO_OBJECT {
+                next.copy_from_slice(value);
             }
-        }
+        });
         next
     }
 
