@@ -23,6 +23,28 @@ fn interleaved(layers: &[Arc<Layer>], len: usize) -> Vec<f32> {
     out
 }
 
+/// What lies side by side, `per_slot` items a slot, layer by layer. All layers of some slots are taken out at once: read
+/// one by one, each would bring the others along from memory.
+fn apart<T: Sync, U: Default + Clone + Send>(
+    values: &[T],
+    per_slot: usize,
+    layers: usize,
+    of: impl Fn(&[T], usize) -> U + Sync,
+) -> Vec<Vec<U>> {
+    const CHUNK: usize = 256;
+    let black = |_| vec![U::default(); values.len() / per_slot];
+    let mut out: Vec<Vec<U>> = (0..layers).into_par_iter().map(black).collect();
+    let mut chunks: Vec<_> = out.iter_mut().map(|layer| layer.chunks_mut(CHUNK)).collect();
+    let of_chunk = |values| (values, chunks.iter_mut().filter_map(Iterator::next).collect());
+    let tasks: Vec<(&[T], Vec<&mut [U]>)> = values.chunks(CHUNK * per_slot).map(of_chunk).collect();
+    tasks.into_par_iter().for_each(|(values, layers)| {
+        for (k, layer) in layers.into_iter().enumerate() {
+            layer.iter_mut().zip(values.chunks_exact(per_slot)).for_each(|(out, slot)| *out = of(slot, k));
+        }
+    });
+    out
+}
+
 /// Layers that were computed along the same rays.
 pub(crate) struct Computed {
     pub layers: Vec<Arc<Layer>>,
@@ -113,14 +135,16 @@ impl<V: Value> Stack<V> {
 
     fn to_layers(&self, headers: &[Header]) -> Vec<Arc<Layer>> {
         let layers = headers.len();
+        let mut direct = apart(&self.direct, 1, layers, |light, k| light[0].layer(k));
+        let mut indirect = apart(&self.indirect, 1, layers, |light, k| light[0].layer(k));
+        let mut variance = match layers {
+            1 => vec![self.variance.clone()],
+            _ => apart(&self.layer_variance, layers, layers, |slot, k| slot[k]),
+        };
         let of = |(k, header): (usize, &Header)| {
-            let take = |values: &[V]| values.par_iter().with_min_len(CHUNK).map(|v| v.layer(k)).collect();
-            let variance = match layers {
-                1 => self.variance.clone(),
-                _ => self.layer_variance.par_chunks_exact(layers).with_min_len(CHUNK).map(|slot| slot[k]).collect(),
-            };
             let (name, lights) = (header.name.clone(), header.lights.clone());
-            Arc::new(Layer { name, lights, direct: take(&self.direct), indirect: take(&self.indirect), variance })
+            let [direct, indirect] = [&mut direct, &mut indirect].map(|part| std::mem::take(&mut part[k]));
+            Arc::new(Layer { name, lights, direct, indirect, variance: std::mem::take(&mut variance[k]) })
         };
         headers.iter().enumerate().map(of).collect()
     }

@@ -98,9 +98,9 @@ fn sqrt(v: DVec3) -> DVec3 {
     DVec3::new(v.x.sqrt(), v.y.sqrt(), v.z.sqrt())
 }
 
-/// 1/v per channel, 0 where a channel has nothing (left).
+/// 1/v per channel, 0 where a channel has nothing (left) that single precision could hold the inverse of.
 fn inverse(v: DVec3) -> DVec3 {
-    let one = |x: f64| if x.abs() > f64::MIN_POSITIVE { 1.0 / x } else { 0.0 };
+    let one = |x: f64| if x.abs() > f64::from(f32::MIN_POSITIVE) { 1.0 / x } else { 0.0 };
     DVec3::new(one(v.x), one(v.y), one(v.z))
 }
 
@@ -121,11 +121,13 @@ fn norm<V: Value>(a: &[V]) -> V::Wide {
 }
 
 fn scaled<V: Value>(a: &[V], by: V::Wide) -> Vec<V> {
-    a.par_iter().with_min_len(CHUNK).map(|v| v.scaled(by)).collect()
+    let by = V::narrow(by);
+    a.par_iter().with_min_len(CHUNK).map(|v| v.times(by)).collect()
 }
 
 fn axpy<V: Value>(y: &mut [V], a: V::Wide, x: &[V]) {
-    y.par_iter_mut().zip(x).with_min_len(CHUNK).for_each(|(y, x)| *y += x.scaled(a));
+    let a = V::narrow(a);
+    y.par_iter_mut().zip(x).with_min_len(CHUNK).for_each(|(y, x)| *y += x.times(a));
 }
 
 #[cfg(test)]

@@ -40,8 +40,11 @@ pub(crate) trait Value:
     /// Product per layer and channel, in double precision.
     fn product(self, other: Self) -> Self::Wide;
 
-    /// Product with numbers per layer and channel.
-    fn scaled(self, by: Self::Wide) -> Self;
+    /// Product per layer and channel.
+    fn times(self, other: Self) -> Self;
+
+    /// Numbers per layer and channel, in single precision.
+    fn narrow(wide: Self::Wide) -> Self;
 
     /// All layers, each with its weight.
     #[inline]
@@ -101,8 +104,13 @@ impl Value for Vec3 {
     }
 
     #[inline]
-    fn scaled(self, by: DVec3) -> Self {
-        (self.as_dvec3() * by).as_vec3()
+    fn times(self, other: Self) -> Self {
+        self * other
+    }
+
+    #[inline]
+    fn narrow(wide: DVec3) -> Self {
+        wide.as_vec3()
     }
 }
 
@@ -157,8 +165,19 @@ impl<const K: usize> Value for Layered<K> {
     }
 
     #[inline]
-    fn scaled(self, by: [DVec3; K]) -> Self {
-        Layered(std::array::from_fn(|k| (self.0[k].as_dvec3() * by[k]).as_vec3()))
+    fn times(mut self, other: Self) -> Self {
+        self.0.iter_mut().zip(other.0).for_each(|(a, b)| *a *= b);
+        self
+    }
+
+    #[inline]
+    fn narrow(wide: [DVec3; K]) -> Self {
+        Layered(wide.map(|v| v.as_vec3()))
+    }
+
+    #[inline]
+    fn weighted(&self, weights: &[Vec3]) -> Vec3 {
+        self.0.iter().zip(weights).fold(Vec3::ZERO, |sum, (light, weight)| sum + *light * *weight)
     }
 }
 
