@@ -7,9 +7,10 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::accumulate::Accumulator;
+use crate::ambient::with_ambient;
 use crate::focus::Focus;
 use crate::importance::Importance;
-use crate::job::{Budget, Canceled, Observer, Pass};
+use crate::job::{Budget, Canceled, Observer, Pass, Progress};
 use crate::layers::{Computed, Header, Stack, groups_of, weights_of, weights_within, with_layers};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
@@ -27,7 +28,7 @@ const SOLVE_SAMPLES: (u32, u32) = (16, 64);
 /// ([`crate::scene::Scene::groups`]) get layers of their own, along the same rays.
 pub fn bake(world: &World, budget: &Budget, seed: u64, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
     let work = Work::new(observer);
-    let goal = Goal { budget, importance: &Importance::default(), seed: subseed(seed, 0xba6e) };
+    let goal = Goal { budget, importance: &Importance::default(), seed: subseed(seed, 0xba6e), estimates: true };
     let map = bake_map(world, &groups_of(&world.scene), &|map| map, &goal, &work)?;
     Ok(map.unwrap_or_else(|| Arc::new(LightMap::black(world.slots()))))
 }
@@ -97,7 +98,11 @@ fn bake_stack<V: Value>(
     let phase = if first.is_some() { Phase::Rest } else { Phase::Whole };
     let Goal { budget, seed, .. } = *goal;
     let rounds = Rounds { len: world.slots(), weights, budget, seed, work, phase };
-    rounds.run(stated, |_| false, |r| baker.round(r), compose)
+    let round = |r: &Round<V>| {
+        baker.show_estimate(r, finish, goal)?;
+        baker.round(r)
+    };
+    rounds.run(stated, |_| false, round, compose)
 }
 
 /// What all rounds of a bake share.
@@ -148,8 +153,34 @@ impl<'a> Baker<'a> {
         let (budget, seed) = (&goal.first_budget(), goal.first_seed());
         let (len, weights) = (self.world.slots(), self.weights);
         let rounds = Rounds { len, weights, budget, seed, work: self.work, phase: Phase::Part };
-        rounds.run(|_| None, |_| false, |r| self.round_at(r, &seen), compose)?;
+        let round = |r: &Round<V>| {
+            self.show_estimate(r, finish, goal)?;
+            self.round_at(r, &seen)
+        };
+        rounds.run(|_| None, |_| false, round, compose)?;
         Ok(last.take().map(|(stack, samples)| First::evenly(stack, &is_seen, samples)))
+    }
+
+    /// Shows what is known of direct light beforehand, with an ambient term for the rest, before anything else is known.
+    fn show_estimate<V: Value>(
+        &self,
+        round: &Round<V>,
+        finish: &dyn Fn(Stack<V>) -> LightMap,
+        goal: &Goal,
+    ) -> Result<(), Canceled> {
+        let observer = self.work.observer();
+        if !goal.estimates || self.hint.get().is_some() || !observer.wants_estimates() {
+            return Ok(());
+        }
+        (round.begin)(Pass::Direct, 0.0);
+        let direct = Hint::direct(self.world, &self.slots, self.seed, self.work)?;
+        self.hint_of(&direct);
+        let stack = with_ambient(self.world, direct, self.weights.len(), self.seed, self.work)?;
+        let round_samples = round.samples;
+        let rays = self.work.rays();
+        observer
+            .estimate(&Arc::new(finish(stack)), &Progress { round_samples, rays, ..Progress::nothing(Pass::Direct) });
+        Ok(())
     }
 
     /// One independent estimate of direct and indirect light.
@@ -222,8 +253,12 @@ impl<'a> Baker<'a> {
         if let Some(hint) = self.hint.get() {
             return Ok(hint);
         }
-        let hint = Hint::new::<V>(self.world, &self.slots, self.weights, self.seed, self.work)?;
-        Ok(self.hint.get_or_init(|| hint))
+        let direct: Vec<V> = Hint::direct(self.world, &self.slots, self.seed, self.work)?;
+        Ok(self.hint_of(&direct))
+    }
+
+    fn hint_of<V: Value>(&self, direct: &[V]) -> &Hint {
+        self.hint.get_or_init(|| Hint::new(self.world, direct, self.weights, self.seed, self.work))
     }
 
     fn scatter<V: Value>(&self, values: &[V]) -> Vec<V> {

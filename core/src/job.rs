@@ -59,6 +59,11 @@ pub struct Progress {
 }
 
 impl Progress {
+    /// Of work that has just begun with a pass.
+    pub(crate) fn nothing(pass: Pass) -> Progress {
+        Progress { pass, samples_per_element: 0, round_samples: 0, round_fraction: 0.0, rays: 0, estimated_rmse: None }
+    }
+
     /// Of a map that is there at once, without a round of samples.
     pub fn at_once(pass: Pass, samples_per_element: u32, estimated_rmse: Option<f32>) -> Progress {
         Progress { pass, samples_per_element, round_samples: 0, round_fraction: 1.0, rays: 0, estimated_rmse }
@@ -86,6 +91,15 @@ pub trait Observer: Sync {
     fn leaves_first(&self) -> bool {
         false
     }
+
+    /// Whether [`Observer::estimate`] is of use; else nothing is computed for it.
+    fn wants_estimates(&self) -> bool {
+        false
+    }
+
+    /// A first picture of a bake, before its first round is done: direct light, and one ambient term per layer for all light
+    /// that has not been distributed yet. It is to be shown, and nothing else: what the bake gives does not depend on it.
+    fn estimate(&self, _map: &Arc<LightMap>, _progress: &Progress) {}
 
     /// A consistent light map, better than the one before. Cheap: the map is shared.
     fn snapshot(&self, _map: &Arc<LightMap>, _progress: &Progress) {}

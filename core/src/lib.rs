@@ -4,6 +4,7 @@
 //! and seed give the same bits on any number of threads.
 
 mod accumulate;
+mod ambient;
 mod bake;
 pub mod bvh;
 pub mod delta;

@@ -44,7 +44,7 @@ pub(crate) fn refine_with(
         // A first round alone cannot tell its variance.
         if new.variance.iter().any(|v| *v > 0.0) { blend(world, map, new) } else { map.clone() }
     };
-    let goal = Goal { budget, importance: &Importance::default(), seed };
+    let goal = Goal { budget, importance: &Importance::default(), seed, estimates: false };
     bake_map(world, &headers_of_layers(map), &improve, &goal, work)
 }
 

@@ -48,6 +48,8 @@ pub(crate) struct Goal<'a> {
     pub budget: &'a Budget,
     pub importance: &'a Importance,
     pub seed: u64,
+    /// An estimate may be shown before the first round: there is no light to be shown yet.
+    pub estimates: bool,
 }
 
 impl Goal<'_> {

@@ -1,5 +1,6 @@
 //! The engine against closed forms, independent computations and full bakes.
 
+mod ambient;
 mod determinism;
 mod edits;
 mod enclosures;

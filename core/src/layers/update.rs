@@ -138,7 +138,8 @@ impl Update<'_> {
         let budget = self.goal.budget;
         let budget = Budget { samples_per_element: budget.samples_per_element.min(most), ..*budget };
         let importance = if publishes { *self.goal.importance } else { Importance::default() };
-        let goal = Goal { budget: &budget, importance: &importance, seed: subseed(self.goal.seed, 0x1ea) };
+        let goal =
+            Goal { budget: &budget, importance: &importance, seed: subseed(self.goal.seed, 0x1ea), estimates: false };
         let map = bake_layers(&self.transition.before, &self.plan.leaving, &finish, &goal, work)?;
         Ok(map.map(|map| (map, last.take())))
     }

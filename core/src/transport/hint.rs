@@ -20,18 +20,18 @@ pub(crate) struct Hint {
 }
 
 impl Hint {
-    pub(crate) fn new<V: Value>(
-        world: &World,
-        slots: &[u32],
-        weights: &[Vec3],
-        seed: u64,
-        work: &Work,
-    ) -> Result<Hint, Canceled> {
+    /// Direct light that hints are made from, per slot.
+    pub(crate) fn direct<V: Value>(world: &World, slots: &[u32], seed: u64, work: &Work) -> Result<Vec<V>, Canceled> {
         let found: Vec<V> = direct_of(world, slots, SAMPLES, &Effort::default(), seed, work)?;
         let mut direct = vec![V::default(); world.slots()];
         slots.iter().zip(&found).for_each(|(&slot, light)| direct[slot as usize] = *light);
         world.validity.fill(&mut direct);
-        let rough = Rough::new(world, &direct, weights);
+        Ok(direct)
+    }
+
+    /// From [`Hint::direct`].
+    pub(crate) fn new<V: Value>(world: &World, direct: &[V], weights: &[Vec3], seed: u64, work: &Work) -> Hint {
+        let rough = Rough::new(world, direct, weights);
         let radiance = |target: &Target| {
             let corners = target.elements.map(|e| direct[e as usize].weighted(weights));
             let mean = corners.into_iter().sum::<Vec3>() / 3.0;
@@ -43,7 +43,7 @@ impl Hint {
             (light * target.albedo).element_sum()
         };
         let spots = Spots::new(world, radiance);
-        Ok(Hint { rough, spots })
+        Hint { rough, spots }
     }
 }
 

@@ -283,6 +283,15 @@ impl Observer for JobObserver<'_> {
         self.yields && self.stop.is_superseded()
     }
 
+    /// An estimate takes the place of nothing, never of a map that is right: an interrupted bake has shown one already.
+    fn wants_estimates(&self) -> bool {
+        self.lock().floor.is_none()
+    }
+
+    fn estimate(&self, map: &Arc<LightMap>, progress: &Progress) {
+        self.publish_estimate(map, progress);
+    }
+
     fn snapshot(&self, map: &Arc<LightMap>, progress: &Progress) {
         let map = &lengthened(map, self.slots);
         {
@@ -327,7 +336,8 @@ impl JobObserver<'_> {
             state.version = Some(published.version);
             state.reported = Some((Instant::now(), progress.pass.as_str()));
             let saved = state.saved.get_or_insert(self.started);
-            let is_due = saved.elapsed() >= self.app.config.timeouts.save;
+            // What is not right is not worth keeping.
+            let is_due = is_right && saved.elapsed() >= self.app.config.timeouts.save;
             if is_due {
                 state.saved = Some(Instant::now());
             }
