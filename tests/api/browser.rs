@@ -1,8 +1,10 @@
 //! The page in a real browser: `viewer/test/browser.mjs` drives it, this starts and restarts the service under it.
 //!
-//! Needs Node and Chromium (`viewer/test/setup.sh` gets both the packages and the browser); skipped, with a message,
-//! where they are not there. Screenshots are left in `viewer/screenshots`.
+//! Needs Node, Chromium and the page's packages. `viewer/test/setup.sh` gets what is missing, and the test is skipped, with
+//! the reason, where it cannot. `REBAKE_BROWSER=as-is` installs nothing, `REBAKE_BROWSER=required` fails instead of
+//! skipping. Screenshots are left in `viewer/screenshots`.
 
+use std::fs::{File, TryLockError};
 use std::io::{BufRead, BufReader, Write};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -40,10 +42,12 @@ async fn something_stands_at_the_root() {
 #[tokio::test]
 async fn the_page_edits_a_room_in_a_browser() {
     let viewer = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../viewer"));
-    let (chromium, page) = match prepare(viewer) {
+    let wish = Wish::from_env();
+    let Ready { chromium, page, lock } = match prepare(viewer, wish) {
         Ok(ready) => ready,
         Err(why) => {
-            eprintln!("skipped: the browser test needs viewer/test/setup.sh to have been run: {why}");
+            assert!(wish != Wish::Required, "{why}");
+            tell(&format!("skipped: {why}"));
             return;
         }
     };
@@ -72,6 +76,7 @@ async fn the_page_edits_a_room_in_a_browser() {
     let ended = script.child.wait().unwrap();
     service.unwrap().stop().await;
     std::fs::remove_file(&room).unwrap();
+    drop(lock);
     assert!(ended.success() && said.last().is_some_and(|line| line == "done"), "{}", said.join("\n"));
 }
 
@@ -94,22 +99,71 @@ fn furnished_room() -> Scene {
     scene
 }
 
-/// The browser and the directory of the built page.
-fn prepare(viewer: &Path) -> Result<(PathBuf, PathBuf), String> {
-    let found = |name: &str| {
-        let paths = std::env::var_os("PATH").unwrap_or_default();
-        std::env::split_paths(&paths).map(|dir| dir.join(name)).find(|path| path.is_file())
-    };
-    let given = std::env::var_os("CHROMIUM").map(PathBuf::from);
-    let chromium = given.or_else(|| found("chromium")).ok_or("there is no chromium")?;
-    let npm = found("npm").ok_or("there is no npm")?;
-    if !viewer.join("node_modules/playwright-core").is_dir() {
-        return Err("the page's packages are not installed".to_owned());
+/// What is done where something that the test needs is missing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Wish {
+    /// It is installed; where that cannot be, the test is skipped.
+    Install,
+    /// The test is skipped.
+    AsIs,
+    /// It is installed; where that cannot be, the test fails.
+    Required,
+}
+
+impl Wish {
+    fn from_env() -> Wish {
+        match std::env::var("REBAKE_BROWSER").as_deref() {
+            Err(_) | Ok("" | "install") => Wish::Install,
+            Ok("as-is") => Wish::AsIs,
+            Ok("required") => Wish::Required,
+            Ok(other) => panic!("REBAKE_BROWSER: has to be install, as-is or required, not {other:?}"),
+        }
+    }
+}
+
+/// What the test needs.
+struct Ready {
+    chromium: PathBuf,
+    /// Directory of the built page.
+    page: PathBuf,
+    /// Keeps another process that runs this test away from packages, page and screenshots.
+    lock: File,
+}
+
+fn prepare(viewer: &Path, wish: Wish) -> Result<Ready, String> {
+    let lock = lock(&viewer.join(".lock"))?;
+    let mut setup = Command::new("bash");
+    setup.arg(viewer.join("test/setup.sh")).args((wish == Wish::AsIs).then_some("--check"));
+    // What it does goes past the harness, which would keep it to itself: it may take a minute.
+    let done = setup.stdin(Stdio::null()).stderr(Stdio::inherit()).output();
+    let done = done.map_err(|error| format!("viewer/test/setup.sh cannot be run: {error}"))?;
+    let said = String::from_utf8_lossy(&done.stdout).trim().to_owned();
+    if !done.status.success() {
+        return Err(said);
     }
     // A broken page is a failure, not a reason to skip.
-    let built = Command::new(npm).args(["run", "build"]).current_dir(viewer).output().unwrap();
+    let built = Command::new("npm").args(["run", "build"]).current_dir(viewer).output().unwrap();
     assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stdout));
-    Ok((chromium, viewer.join("dist")))
+    Ok(Ready { chromium: PathBuf::from(said), page: viewer.join("dist"), lock })
+}
+
+/// Waits until no other process holds the file.
+fn lock(path: &Path) -> Result<File, String> {
+    let cannot = |error: std::io::Error| format!("{} cannot be locked: {error}", path.display());
+    let file = File::create(path).map_err(cannot)?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::Error(error)) => Err(cannot(error)),
+        Err(TryLockError::WouldBlock) => {
+            tell("waits for another process that runs it");
+            file.lock().map_err(cannot).map(|()| file)
+        }
+    }
+}
+
+/// A line that is seen also where the test passes: the harness keeps what is printed otherwise.
+fn tell(what: &str) {
+    let _ = writeln!(std::io::stderr(), "browser test {what}");
 }
 
 /// A service that can be started anew at the same address.
