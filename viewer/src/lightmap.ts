@@ -22,8 +22,12 @@ export class LightMap {
   base = new Float32Array();
   /** What the attributes show: `current`, or one layer of it. */
   private shown = new Float32Array();
+  /** In the order of their elements, which no two share. */
   private windows: Window[] = [];
   private followsCurrent = true;
+  /** Whether the light before the edit is looked at, and whether the graphics card has an older one. */
+  private showsBase = false;
+  private isBaseStale = false;
 
   get elements(): number {
     return this.current.length / 3;
@@ -77,6 +81,12 @@ export class LightMap {
     this.touchBase();
   }
 
+  /** The light before the edit is looked at, or no more: only while it is does every edit upload it anew. */
+  showBase(is: boolean): void {
+    this.showsBase = is;
+    if (is && this.isBaseStale) this.touchBase();
+  }
+
   /** Shows the map itself again. */
   showCurrent(): void {
     this.followsCurrent = true;
@@ -88,15 +98,27 @@ export class LightMap {
   showLayer(frames: Frame[], weight: Rgb = [1, 1, 1]): void {
     this.followsCurrent = false;
     for (const frame of frames) if (reach(frame) <= this.elements) apply(frame, this.shown);
-    if (weight.some((factor) => factor !== 1)) for (let i = 0; i < this.shown.length; i++) this.shown[i]! *= weight[i % 3]!;
+    const [r, g, b] = weight;
+    if (weight.some((factor) => factor !== 1)) {
+      for (let i = 0; i < this.shown.length; i += 3) {
+        this.shown[i]! *= r;
+        this.shown[i + 1]! *= g;
+        this.shown[i + 2]! *= b;
+      }
+    }
     this.touch(0, this.elements);
   }
 
   /** Shows base + change × layer, as long as the map has the length of both. */
-  showSum(base: Float32Array, layer: Float32Array, change: Rgb): void {
+  showSum(base: Float32Array, layer: Float32Array, [r, g, b]: Rgb): void {
     if (base.length !== this.shown.length || layer.length !== base.length) return;
     this.followsCurrent = false;
-    for (let i = 0; i < base.length; i++) this.shown[i] = base[i]! + change[i % 3]! * layer[i]!;
+    const { shown } = this;
+    for (let i = 0; i < base.length; i += 3) {
+      shown[i] = base[i]! + r * layer[i]!;
+      shown[i + 1] = base[i + 1]! + g * layer[i + 1]!;
+      shown[i + 2] = base[i + 2]! + b * layer[i + 2]!;
+    }
     this.touch(0, this.elements);
   }
 
@@ -109,6 +131,7 @@ export class LightMap {
     };
     const pair = { light: window(this.shown), base: window(this.base) };
     this.windows.push({ first, count, ...pair });
+    this.windows.sort((a, b) => a.first - b.first);
     return pair;
   }
 
@@ -142,10 +165,17 @@ export class LightMap {
   }
 
   private touch(first: number, count: number): void {
-    for (const window of this.windows) {
+    // A snapshot has thousands of ranges, a scene thousands of objects.
+    let [low, high] = [0, this.windows.length];
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (this.windows[middle]!.first + this.windows[middle]!.count <= first) low = middle + 1;
+      else high = middle;
+    }
+    for (let k = low; k < this.windows.length && this.windows[k]!.first < first + count; k++) {
+      const window = this.windows[k]!;
       const from = Math.max(first, window.first);
       const to = Math.min(first + count, window.first + window.count);
-      if (from >= to) continue;
       // Thousands of little uploads cost more than one that is too large.
       if (window.light.updateRanges.length < 64) window.light.addUpdateRange(3 * (from - window.first), 3 * (to - from));
       else {
@@ -157,6 +187,7 @@ export class LightMap {
   }
 
   private touchBase(): void {
-    for (const { base } of this.windows) base.needsUpdate = true;
+    this.isBaseStale = !this.showsBase;
+    if (this.showsBase) for (const { base } of this.windows) base.needsUpdate = true;
   }
 }

@@ -261,7 +261,11 @@ export class Stage {
   }
 
   private mark(lights: Light[], objects: SceneObject[]): void {
-    for (const marker of this.markers.values()) this.scene.remove(marker);
+    for (const marker of this.markers.values()) {
+      this.scene.remove(marker);
+      marker.geometry.dispose();
+      (marker.material as MeshBasicMaterial).dispose();
+    }
     this.markers.clear();
     const radius = (objects.length ? this.bounds().getSize(new Vector3()).length() : 1) / 120;
     for (const light of lights) {

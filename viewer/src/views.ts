@@ -34,6 +34,11 @@ export class Views {
     return this.current === 'full' || this.current === 'map';
   }
 
+  /** Whether the light before the edit is looked at. */
+  private get showsBase(): boolean {
+    return this.current === 'change' || this.stage.split;
+  }
+
   private get isLayer(): boolean {
     return this.current === 'direct' || this.current === 'indirect' || this.current.startsWith(LAYER);
   }
@@ -66,6 +71,7 @@ export class Views {
     this.current = next;
     $<HTMLSelectElement>('view').value = next;
     shared.mode.value = { map: 1, change: 2 }[next] ?? 0;
+    this.map.showBase(this.showsBase);
     shared.emissive.value = next === 'indirect' || next.startsWith(LAYER) ? 0 : 1;
     this.request++;
     this.picture?.abort();
@@ -87,6 +93,7 @@ export class Views {
   split(on: boolean): void {
     $<HTMLInputElement>('split').checked = this.stage.split = on;
     $('split-line').hidden = !on;
+    this.map.showBase(this.showsBase);
     this.stage.invalidate();
   }
 
