@@ -3,37 +3,32 @@
 
     python3 tests/mitsuba/pictures.py SCENE.glb [--size 480x270] [--paths 512] [--spacing 0.03] [--samples 256]
 
-The scene is a binary glTF without node hierarchy, lit by emissive surfaces, with a camera. Two pictures of Mitsuba's with
-different seeds tell how much of the difference is its own noise. Pictures and the sheet of differences stay in the work
-folder. Needs what check.py needs.
+The scene is a binary glTF, lit by emissive surfaces, with a camera. Two pictures of Mitsuba's with different seeds tell
+how much of the difference is its own noise. Pictures and the sheet of differences stay in the work folder. Needs what
+check.py needs.
 """
-import argparse
 import subprocess
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
-from check import ROOT, load_scene, prepare, read_document  # noqa: E402
+from common import arguments, cargo, load_scene, nodes, prepare, read_document  # noqa: E402
 
 
 def parse():
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser = arguments(__doc__, "rebake", "mitsuba-pictures")
     parser.add_argument("scene", type=Path)
     parser.add_argument("--size", default="480x270")
     parser.add_argument("--paths", type=int, default=512, help="Mitsuba: paths per pixel")
     parser.add_argument("--spp", type=int, default=64, help="rebake: samples per pixel")
     parser.add_argument("--samples", type=int, default=256, help="rebake: samples per element of the bake")
     parser.add_argument("--spacing", type=float, help="rebake: largest distance between elements, metres")
-    parser.add_argument("--venv", type=Path, default=ROOT / "target/mitsuba")
-    parser.add_argument("--binary", type=Path, help="a built rebake; default: cargo builds it")
-    parser.add_argument("--work", type=Path, default=ROOT / "target/mitsuba-pictures")
-    parser.add_argument("--inside", action="store_true", help=argparse.SUPPRESS)
     return parser.parse_args()
 
 
 def outside(args):
     python, environment = prepare(args.venv)
-    rebake = [args.binary] if args.binary else ["cargo", "run", "--release", "--quiet", "--"]
+    rebake = [args.binary] if args.binary else cargo()
     args.work.mkdir(parents=True, exist_ok=True)
     work = args.work / args.scene.stem
     again = [python, __file__, "--inside", args.scene, "--size", args.size, "--paths", str(args.paths), "--work", args.work]
@@ -48,12 +43,12 @@ def outside(args):
 
 
 def camera(path):
-    """Camera to world, column-major in the file, and the vertical field of view of the first camera, degrees."""
+    """Camera to world and the vertical field of view of the first camera, degrees."""
     import numpy as np
     document, _ = read_document(path)
-    node = next(node for node in document["nodes"] if "camera" in node)
+    node, world = next((node, world) for node, world in nodes(document) if "camera" in node)
     lens = document["cameras"][node["camera"]]["perspective"]
-    return np.array(node["matrix"], float).reshape(4, 4).T, np.degrees(lens["yfov"])
+    return world, np.degrees(lens["yfov"])
 
 
 def inside(args):
@@ -78,5 +73,5 @@ def inside(args):
 
 
 if __name__ == "__main__":
-    arguments = parse()
-    inside(arguments) if arguments.inside else outside(arguments)
+    args = parse()
+    inside(args) if args.inside else outside(args)
