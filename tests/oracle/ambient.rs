@@ -122,7 +122,6 @@ fn the_ambient_term_is_nearer_to_the_light_than_none_and_not_in_the_map() {
             parts.into_iter().chain(estimate.layers.iter().zip(&map.layers).map(|(a, b)| (&a.indirect, &b.indirect)));
         for (found, light) in parts {
             let (with, without) = (error(found, light), error(&nothing, light));
-            println!("indirect light: off by {with:.4} with the ambient term, by {without:.4} without");
             assert!(with < 0.5 * without, "off by {with}, by {without} without");
         }
         let weights = estimate.layer_weights(&world.scene);

@@ -108,7 +108,7 @@ impl<'a> Shading<'a> {
         let direction = cosine_hemisphere(surfel.normal, rng.next_2d());
         let (mut light, rays, source) = (Vec3::ZERO, &mut 0, field.source(self.world, None));
         let (_, landed) = source.along(self.world, u32::MAX, from, direction, 0.0, rng, rays, &mut light);
-        source.add_landed(landed, rng, rays, &mut light);
+        source.add_landed(landed.as_ref(), rng, rays, &mut light);
         light
     }
 }

@@ -165,14 +165,14 @@ fn trace_row<V: Value>(
     for (k, entry) in entries.iter_mut().enumerate() {
         let direction = cosine_hemisphere(from.1, sequence.get(k as u32));
         let (end, landed) = source.along(world, slot, from, direction, ratio, &mut rng, rays, &mut sum);
-        source.add_landed(std::mem::replace(&mut last, landed), &mut rng, rays, &mut sum);
+        source.add_landed(std::mem::replace(&mut last, landed).as_ref(), &mut rng, rays, &mut sum);
         if let End::Landed(surfel, weight) = end {
             let u = [rng.next_f32(), rng.next_f32(), rng.next_f32()];
             let row = subset.sample(world, &surfel, u).map_or(NONE, |r| rows.row(r));
             *entry = Entry { row, element: surfel.element_by_weight(u[0]), weight };
         }
     }
-    source.add_landed(last, &mut rng, rays, &mut sum);
+    source.add_landed(last.as_ref(), &mut rng, rays, &mut sum);
     let sequence = R2::new(&mut rng);
     for k in 0..aims {
         sum += source.aimed(world, slot, from, sequence.get(k), ratio, &mut rng, rays);

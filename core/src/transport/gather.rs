@@ -28,9 +28,9 @@ pub(crate) fn gather<V: Value>(
         for k in 0..samples {
             let direction = cosine_hemisphere(from.1, sequence.get(k));
             let (_, landed) = source.along(world, slot, from, direction, ratio, &mut rng, rays, &mut sum);
-            source.add_landed(std::mem::replace(&mut last, landed), &mut rng, rays, &mut sum);
+            source.add_landed(std::mem::replace(&mut last, landed).as_ref(), &mut rng, rays, &mut sum);
         }
-        source.add_landed(last, &mut rng, rays, &mut sum);
+        source.add_landed(last.as_ref(), &mut rng, rays, &mut sum);
         let sequence = R2::new(&mut rng);
         for k in 0..aims {
             sum += source.aimed(world, slot, from, sequence.get(k), ratio, &mut rng, rays);

@@ -84,9 +84,9 @@ impl<V: Value, F: Radiance<V>> Source<'_, F, V> {
 
     /// Adds what the surface where a path has landed, if it has, sends along it.
     #[inline]
-    pub(crate) fn add_landed(&self, landed: Option<Landed>, rng: &mut Pcg32, rays: &mut u64, light: &mut V) {
-        if let Some(Landed { surfel, weight, receiver }) = landed {
-            *light += (self.radiance)(receiver, &surfel, false, rng, rays) * weight;
+    pub(crate) fn add_landed(&self, landed: Option<&Landed>, rng: &mut Pcg32, rays: &mut u64, light: &mut V) {
+        if let Some(&Landed { ref surfel, weight, receiver }) = landed {
+            *light += (self.radiance)(receiver, surfel, false, rng, rays) * weight;
         }
     }
 

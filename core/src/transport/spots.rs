@@ -212,7 +212,7 @@ mod tests {
             for _ in 0..samples {
                 let direction = cosine_hemisphere(from.1, rng.next_2d());
                 let (_, landed) = source.along(world, slot, from, direction, ratio, &mut rng, &mut rays, &mut sum);
-                source.add_landed(landed, &mut rng, &mut rays, &mut sum);
+                source.add_landed(landed.as_ref(), &mut rng, &mut rays, &mut sum);
             }
             for _ in 0..aims {
                 sum += source.aimed(world, slot, from, rng.next_2d(), ratio, &mut rng, &mut rays);
