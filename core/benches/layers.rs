@@ -1,62 +1,179 @@
-//! What light layers cost: `cargo bench -p rebake-core --bench layers [-- LAMPS SPACING]`.
+//! What light layers cost: `cargo bench -p rebake-core --bench layers [-- SCENES]`.
 //!
-//! A closed room of 6 × 3 × 6 m with 16 lamps in a grid below its ceiling and some boxes. Prints, in alternating runs, the
-//! time of a bake and of an insert with 1, 3, 8 and 16 layers over that with none, over that many separate solutions, and
-//! the time of a relight beside that of reading all layers' bytes once, and the frames per second of a dragged light.
+//! Scenes: `room`, a closed room of 6 × 3 × 6 m with 16 lamps in a grid below its ceiling and some boxes; `cornell-box`,
+//! with two lamps more; `living-room-2`, with its four lights; and `million`, the room at a million elements, for relights
+//! only. All of them where none is named. `room=0.05` sets the distance between elements in metres, `scenes=FOLDER` where
+//! the files of the others are; those that are not there are passed over.
+//!
+//! Prints, in alternating runs, the time of a bake and of an insert with some numbers of layers over that with none, and
+//! the time of separate solutions, each with the lights of one layer only, over that of all layers together; the time of a
+//! relight beside that of reading all layers' bytes once; when a bake with the most layers has something to show, and how far
+//! off that is; and the frames per second of a dragged light.
 #![allow(clippy::print_stdout)]
 
 use std::hint::black_box;
-use std::sync::Arc;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use glam::{DMat4, DVec3, Vec3};
-use rebake_core::scene::{LightKind, Material, Mesh, Object, Scene};
-use rebake_core::{Budget, DragBasis, Edit, LightMap, Relight, Unobserved, World, WorldOptions, bake, update};
+use rebake_core::scene::{LightKind, LoadLimits, Material, Mesh, Object, Scene, load_glb};
+use rebake_core::{
+    Budget, DragBasis, Edit, LightMap, Observer, Pass, Progress, Relight, Unobserved, World, WorldOptions, bake, update,
+};
 
 /// Runs of each; the median counts.
 const RUNS: usize = 5;
 
+/// Runs of separate solutions.
+const SEPARATE_RUNS: usize = 3;
+
 const BUDGET: Budget = Budget { samples_per_element: 16, target_rmse: None };
 
+/// Distance between elements (m) of each scene, unless another is asked for: some 60,000 to 260,000 elements, and a
+/// million.
+const SPACINGS: [(&str, f32); 4] = [("room", 0.08), ("cornell-box", 0.04), ("living-room-2", 0.3), ("million", 0.0213)];
+
 fn main() {
-    let mut arguments = std::env::args().skip(1).filter_map(|argument| argument.parse::<f32>().ok());
-    let lamps = arguments.next().map_or(16, |n| n as usize);
-    let spacing = arguments.next().unwrap_or(0.06);
-    let plain = room(lamps, spacing);
-    println!("{} elements, {} triangles, {lamps} lamps", plain.element_count(), plain.triangle_count());
-    let worlds: Vec<(usize, World)> =
-        [1, 3, 8, 16].into_iter().filter(|k| *k <= lamps).map(|k| (k, grouped(&plain, lamps, k))).collect();
-    let mut times = vec![Vec::new(); worlds.len()];
-    let mut inserts = vec![Vec::new(); worlds.len()];
-    for run in 0..RUNS as u64 {
-        for (k, (_, world)) in worlds.iter().enumerate() {
-            let (seconds, map) = timed(|| bake(world, &BUDGET, run, &Unobserved).expect("nobody cancels"));
-            times[k].push(seconds);
-            let edit = Edit::Insert {
-                asset: Arc::new(Scene::from_objects(vec![boxed(Vec3::ZERO)])),
-                name: "box".into(),
-                transform: DMat4::from_translation(DVec3::new(3.0, 0.0, 1.0)),
-            };
-            let transition = world.apply(&[edit]).expect("an insert");
-            let (seconds, _) = timed(|| update(&transition, &map, &BUDGET, None, run, &Unobserved).expect("no cancel"));
-            inserts[k].push(seconds);
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();
+    let value = |name: &str| arguments.iter().find_map(|a| a.strip_prefix(name)?.strip_prefix('='));
+    let named = |name: &str| arguments.iter().any(|a| a == name) || value(name).is_some();
+    let all = !SPACINGS.iter().any(|(name, _)| named(name));
+    let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/scenes");
+    let folder = PathBuf::from(value("scenes").unwrap_or(beside));
+    for (name, spacing) in SPACINGS.iter().filter(|(name, _)| all || named(name)) {
+        let spacing = value(name).and_then(|v| v.parse().ok()).unwrap_or(*spacing);
+        match *name {
+            "room" => {
+                let world = room(16, spacing);
+                let floor = DMat4::from_translation(DVec3::new(3.0, 0.0, 1.0));
+                let split = compare(name, &world, &[1, 3, 8, 16], floor);
+                split.iter().for_each(|(layers, world)| relights(*layers, world));
+                drag(&world);
+            }
+            "million" => {
+                let world = grouped(&room(16, spacing), 8);
+                println!("{name}: {} elements", world.element_count());
+                relights(8, &world);
+            }
+            _ => match file(&folder, name, spacing) {
+                Some((world, place)) => drop(compare(name, &world, &[1, world.lights().count()], place)),
+                None => println!("{name}: passed over, there is no {name} in {}", folder.display()),
+            },
         }
     }
-    let one = (median(&mut times[0]), median(&mut inserts[0]));
-    for (k, (layers, _)) in worlds.iter().enumerate() {
-        let (bake, insert) = (median(&mut times[k]), median(&mut inserts[k]));
-        println!(
-            "{layers:2} layers: bake {bake:.3} s, {:.2} of one layer, separate ones {:.1} times as long; insert {insert:.3} s, {:.2}, {:.1}",
-            bake / one.0,
-            *layers as f64 * one.0 / bake,
-            insert / one.1,
-            *layers as f64 * one.1 / insert,
-        );
+}
+
+/// Prints what layers cost in a scene where a box is put at `place`; the scene with each number of layers above one.
+fn compare(name: &str, plain: &World, layers: &[usize], place: DMat4) -> Vec<(usize, World)> {
+    let (elements, triangles) = (plain.element_count(), plain.triangle_count());
+    println!("{name}: {elements} elements, {triangles} triangles, {} lights", plain.lights().count());
+    let worlds: Vec<(usize, World)> = layers.iter().map(|&k| (k, grouped(plain, k))).collect();
+    let mut times = vec![(Vec::new(), Vec::new()); worlds.len()];
+    let mut apart = vec![(Vec::new(), Vec::new()); worlds.len()];
+    for run in 0..RUNS {
+        for (k, (layers, world)) in worlds.iter().enumerate() {
+            let (bake, insert) = solve(world, place, run as u64);
+            times[k].0.push(bake);
+            times[k].1.push(insert);
+            if run < SEPARATE_RUNS && *layers > 1 {
+                let each = (0..*layers).map(|layer| solve(&only(plain, *layers, layer), place, run as u64));
+                let (bake, insert) = each.fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+                apart[k].0.push(bake);
+                apart[k].1.push(insert);
+            }
+        }
     }
-    for (layers, world) in worlds.iter().filter(|(k, _)| *k > 1) {
-        relights(*layers, world);
+    first_picture(&worlds[worlds.len() - 1].1);
+    let times: Vec<(f64, f64)> = times.iter_mut().map(|(a, b)| (median(a), median(b))).collect();
+    for (((layers, _), time), apart) in worlds.iter().zip(&times).zip(&mut apart) {
+        print!("{layers:2} layers: bake {:.3} s, {:.2} of one layer", time.0, time.0 / times[0].0);
+        print!("; insert {:.3} s, {:.2} of one layer", time.1, time.1 / times[0].1);
+        match *layers {
+            1 => println!(),
+            _ => println!(
+                "; separate solutions {:.1} and {:.1} times as long",
+                median(&mut apart.0) / time.0,
+                median(&mut apart.1) / time.1
+            ),
+        }
     }
-    drag(&plain);
+    worlds.into_iter().filter(|(layers, _)| *layers > 1).collect()
+}
+
+/// Keeps what a bake shows first, with the time it came at, and ends the bake after its first round.
+struct First {
+    wants_estimates: bool,
+    start: Instant,
+    shown: Mutex<Vec<(f64, Arc<LightMap>)>>,
+}
+
+impl Observer for First {
+    fn plan_round(&self, so_far: &Progress, proposed: u32) -> u32 {
+        if so_far.samples_per_element == 0 { proposed } else { 0 }
+    }
+
+    fn wants_estimates(&self) -> bool {
+        self.wants_estimates
+    }
+
+    fn estimate(&self, map: &Arc<LightMap>, _: &Progress) {
+        self.snapshot(map, &Progress::at_once(Pass::Direct, 0, None));
+    }
+
+    fn snapshot(&self, map: &Arc<LightMap>, _: &Progress) {
+        self.shown.lock().expect("one thread").push((self.start.elapsed().as_secs_f64(), map.clone()));
+    }
+}
+
+/// Prints when the first picture of a bake comes, with an estimate before the first round and without, and how far off it is.
+fn first_picture(world: &World) {
+    let converged =
+        bake(world, &Budget { samples_per_element: 64, ..BUDGET }, 99, &Unobserved).expect("nobody cancels");
+    let (mut with, mut without, mut round) = (Vec::new(), Vec::new(), Vec::new());
+    let mut maps = Vec::new();
+    for run in 0..RUNS as u64 {
+        for wants_estimates in [true, false] {
+            let first = First { wants_estimates, start: Instant::now(), shown: Mutex::default() };
+            bake(world, &BUDGET, run, &first).expect("nobody cancels");
+            let shown = first.shown.into_inner().expect("one thread");
+            match shown.as_slice() {
+                [(soon, estimate), (later, map)] => {
+                    with.push(*soon);
+                    round.push(*later);
+                    maps = vec![estimate.clone(), map.clone()];
+                }
+                [(later, _)] => without.push(*later),
+                _ => unreachable!("a bake shows its first round, and an estimate before it where one is wanted"),
+            }
+        }
+    }
+    let rmse = |value: &dyn Fn(usize) -> Vec3| {
+        let square = |slot: usize| f64::from((value(slot) - converged.total(slot)).length_squared()) / 3.0;
+        world.area_mean((0..world.slots()).filter(|&slot| world.is_valid(slot)), square).sqrt()
+    };
+    println!(
+        "first picture: after {:.3} s with RMSE {:.4} ({:.4} without the ambient term), first round after {:.3} s with {:.4}; without an estimate after {:.3} s",
+        median(&mut with),
+        rmse(&|slot| maps[0].total(slot)),
+        rmse(&|slot| maps[0].direct[slot]),
+        median(&mut round),
+        rmse(&|slot| maps[1].total(slot)),
+        median(&mut without),
+    );
+}
+
+/// Seconds of a bake, and of an insert into its map.
+fn solve(world: &World, place: DMat4, seed: u64) -> (f64, f64) {
+    let (baked, map) = timed(|| bake(world, &BUDGET, seed, &Unobserved).expect("nobody cancels"));
+    let edit = Edit::Insert {
+        asset: Arc::new(Scene::from_objects(vec![boxed(Vec3::ZERO)])),
+        name: "inserted box".into(),
+        transform: place,
+    };
+    let transition = world.apply(&[edit]).expect("an insert");
+    let (inserted, _) = timed(|| update(&transition, &map, &BUDGET, None, seed, &Unobserved).expect("no cancel"));
+    (baked, inserted)
 }
 
 /// Frames per second of a bulb that is dragged through the room.
@@ -134,16 +251,46 @@ fn boxed(at: Vec3) -> Object {
     Object::new("box", Mesh::cuboid(at, at + Vec3::new(0.6, 0.9, 0.5)), Material::diffuse(Vec3::new(0.6, 0.5, 0.3)))
 }
 
-/// All lamps in `layers` layers, the shared one among them.
-fn grouped(world: &World, lamps: usize, layers: usize) -> World {
+/// Names of lights, by the layer out of `layers` that each is in.
+fn lights_of(world: &World, layers: usize) -> Vec<(usize, String)> {
+    world.lights().enumerate().map(|(i, light)| (i % layers, light.light.name.clone())).collect()
+}
+
+/// All lights in `layers` layers, the shared one among them.
+fn grouped(world: &World, layers: usize) -> World {
     if layers == 1 {
         return world.clone();
     }
-    let group = |i: usize| Edit::GroupLights {
-        group: Some(format!("group {}", i % layers)),
-        lights: vec![format!("lamp {i}")],
+    let lights = lights_of(world, layers).into_iter().filter(|(layer, _)| *layer != 0);
+    let group = |(layer, light)| Edit::GroupLights { group: Some(format!("group {layer}")), lights: vec![light] };
+    world.apply(&lights.map(group).collect::<Vec<_>>()).expect("groups").after
+}
+
+/// Only the lights of one out of `layers` layers shine.
+fn only(world: &World, layers: usize, layer: usize) -> World {
+    let others = lights_of(world, layers).into_iter().filter(|(its, _)| *its != layer);
+    let lights = others.map(|(_, light)| Relight { light, color: None, intensity: Some(0.0) }).collect();
+    world.apply(&[Edit::Relight { lights }]).expect("a relight").after
+}
+
+/// A scene that is not the project's own, and where a box is put in it; none where it is not there.
+fn file(folder: &std::path::Path, name: &str, spacing: f32) -> Option<(World, DMat4)> {
+    let file = if name == "living-room-2" { "living-room-2.lite.glb".to_owned() } else { format!("{name}.glb") };
+    let scene = load_glb(&std::fs::read(folder.join(file)).ok()?, &LoadLimits::default()).expect("a scene");
+    let options = WorldOptions { spacing: Some(spacing), ..WorldOptions::default() };
+    let world = World::new(scene, &options).expect("a world");
+    if name == "living-room-2" {
+        return Some((world, DMat4::from_translation(DVec3::new(0.0, 0.0, 3.0))));
+    }
+    let lamp = |(name, x): (&str, f32)| {
+        let quad = Mesh::quad(Vec3::new(x, 1.5, -0.9), Vec3::X * 0.2, Vec3::Z * 0.2);
+        let asset = Arc::new(Scene::from_objects(vec![Object::new(name, quad, Material::emissive(Vec3::splat(8.0)))]));
+        Edit::Insert { asset, name: name.into(), transform: DMat4::IDENTITY }
     };
-    world.apply(&(0..lamps).filter(|i| i % layers != 0).map(group).collect::<Vec<_>>()).expect("groups").after
+    let world = world.apply(&[("left lamp", -0.9), ("right lamp", 0.7)].map(lamp)).expect("lamps").after;
+    let trees = world.rebuilt_trees();
+    let world = world.with_trees(trees).expect("nothing has changed since");
+    Some((world, DMat4::from_translation(DVec3::new(-0.1, 0.0, 0.6)) * DMat4::from_scale(DVec3::splat(0.4))))
 }
 
 fn room(lamps: usize, spacing: f32) -> World {
