@@ -4,6 +4,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::transport::Value;
+use crate::world::Stated;
 
 /// Weighted sums of rounds, per slot.
 pub(crate) struct Accumulator<V> {
@@ -11,7 +12,9 @@ pub(crate) struct Accumulator<V> {
     indirect: Vec<V>,
     /// What each layer weighs in the whole.
     weights: Vec<Vec3>,
-    /// Σ n |direct + indirect|² of the whole, mean over RGB.
+    /// What the variance is of.
+    stated: Stated,
+    /// Σ n |light|² of the whole, mean over RGB.
     squares: Vec<f64>,
     /// The same per layer, layers of a slot side by side; empty for one.
     layer_squares: Vec<f64>,
@@ -28,12 +31,13 @@ const CHUNK: usize = 4096;
 
 impl<V: Value> Accumulator<V> {
     /// For `len` slots; `weights` has one of each layer.
-    pub(crate) fn new(len: usize, weights: &[Vec3]) -> Accumulator<V> {
+    pub(crate) fn new(len: usize, weights: &[Vec3], stated: Stated) -> Accumulator<V> {
         let layers = if weights.len() > 1 { weights.len() } else { 0 };
         Accumulator {
             direct: vec![V::default(); len],
             indirect: vec![V::default(); len],
             weights: weights.to_vec(),
+            stated,
             squares: vec![0.0; len],
             layer_squares: vec![0.0; len * layers],
             samples: 0,
@@ -54,11 +58,12 @@ impl<V: Value> Accumulator<V> {
         self.samples += samples;
         self.rounds += 1;
         let scatter = Scatter { samples: self.samples, rounds: self.rounds };
-        let (weights, layers) = (&self.weights, self.weights.len());
+        let (weights, layers, stated) = (&self.weights, self.weights.len(), self.stated);
         let mut layer_squares = self.layer_squares.chunks_mut(CHUNK * layers);
         let sums =
             self.direct.chunks_mut(CHUNK).zip(self.indirect.chunks_mut(CHUNK)).zip(self.squares.chunks_mut(CHUNK));
         let with_layers = |((d, i), q)| Sums {
+            stated,
             direct: d,
             indirect: i,
             squares: q,
@@ -86,7 +91,7 @@ impl<V: Value> Accumulator<V> {
         self.rounds >= 2
     }
 
-    /// Variance of the mean of direct + indirect of the whole, mean over RGB: with rounds x_r of n_r samples and variance
+    /// Variance of the mean of what is stated of the whole, mean over RGB: with rounds x_r of n_r samples and variance
     /// σ²/n_r, Σ n_r (x_r − x̄)² / (R − 1) estimates σ², and the mean has σ² / Σ n_r. Low-discrepancy samples do better
     /// than 1/n: the whole is scaled to what the last round and those before it, which weigh most, say.
     pub(crate) fn variance(&self) -> Vec<f32> {
@@ -95,7 +100,8 @@ impl<V: Value> Accumulator<V> {
         }
         let (scale, scatter) = (self.scale(), self.of_rounds());
         let sums = self.direct.par_iter().zip(&self.indirect).zip(&self.squares).with_min_len(CHUNK);
-        sums.map(|((d, i), q)| (scatter.of(*q, (*d + *i).weighted(&self.weights)) * scale) as f32).collect()
+        sums.map(|((d, i), q)| (scatter.of(*q, self.stated.of(*d, *i).weighted(&self.weights)) * scale) as f32)
+            .collect()
     }
 
     /// The same of each layer, layers of a slot side by side; empty for one layer.
@@ -107,7 +113,7 @@ impl<V: Value> Accumulator<V> {
         let (layers, scale, scatter) = (self.weights.len(), self.scale(), self.of_rounds());
         let sums = self.layer_squares.par_chunks(layers).zip(self.direct.par_iter().zip(&self.indirect));
         variance.par_chunks_mut(layers).zip(sums).with_min_len(CHUNK).for_each(|(variance, (squares, (d, i)))| {
-            let total = *d + *i;
+            let total = self.stated.of(*d, *i);
             for (layer, (variance, square)) in variance.iter_mut().zip(squares).enumerate() {
                 *variance = (scatter.of(*square, total.layer(layer)) * scale) as f32;
             }
@@ -141,6 +147,7 @@ impl Scatter {
 
 /// Sums of some slots.
 struct Sums<'a, V> {
+    stated: Stated,
     direct: &'a mut [V],
     indirect: &'a mut [V],
     squares: &'a mut [f64],
@@ -164,17 +171,17 @@ impl<V: Value> Sums<'_, V> {
         let layers = weights.len();
         for (k, (direct, indirect)) in direct.iter().zip(indirect).enumerate() {
             let (sum_direct, sum_indirect) = (&mut self.direct[k], &mut self.indirect[k]);
-            let light = *direct + *indirect;
+            let light = self.stated.of(*direct, *indirect);
             let whole = light.weighted(weights);
             if before > 0 {
-                let mean = (*sum_direct + *sum_indirect).weighted(weights).as_dvec3() / n;
+                let mean = self.stated.of(*sum_direct, *sum_indirect).weighted(weights).as_dvec3() / n;
                 last += (mean - whole.as_dvec3()).length_squared() / 3.0;
             }
             *sum_direct += *direct * samples as f32;
             *sum_indirect += *indirect * samples as f32;
             self.squares[k] += square(whole);
             if before > 0 {
-                scattered += scatter.of(self.squares[k], (*sum_direct + *sum_indirect).weighted(weights));
+                scattered += scatter.of(self.squares[k], self.stated.of(*sum_direct, *sum_indirect).weighted(weights));
             }
             let squares = self.layer_squares.iter_mut().skip(k * layers).take(layers);
             squares.enumerate().for_each(|(layer, sum)| *sum += square(light.layer(layer)));
@@ -194,7 +201,7 @@ mod tests {
     #[test]
     fn rounds_of_unequal_size_tell_the_variance_of_their_mean() {
         let len = 4000;
-        let (mut acc, mut rng) = (Accumulator::new(len, &[Vec3::ONE]), Pcg32::new(1, 1));
+        let (mut acc, mut rng) = (Accumulator::new(len, &[Vec3::ONE], Stated::Full), Pcg32::new(1, 1));
         let mut mean = vec![0.0f64; len];
         let sizes = [2u32, 2, 4, 8, 16];
         for n in sizes {

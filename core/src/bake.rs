@@ -97,7 +97,7 @@ fn bake_stack<V: Value>(
     let stated = |map: &LightMap| Some(map.estimated_rmse(world.areas()));
     let phase = if first.is_some() { Phase::Rest } else { Phase::Whole };
     let Goal { budget, seed, .. } = *goal;
-    let rounds = Rounds { len: world.slots(), weights, budget, seed, work, phase };
+    let rounds = Rounds { world, weights, budget, seed, work, phase };
     let round = |r: &Round<V>| {
         baker.show_estimate(r, finish, goal)?;
         baker.round(r)
@@ -151,8 +151,8 @@ impl<'a> Baker<'a> {
             finish(stack)
         };
         let (budget, seed) = (&goal.first_budget(), goal.first_seed());
-        let (len, weights) = (self.world.slots(), self.weights);
-        let rounds = Rounds { len, weights, budget, seed, work: self.work, phase: Phase::Part };
+        let (world, weights) = (self.world, self.weights);
+        let rounds = Rounds { world, weights, budget, seed, work: self.work, phase: Phase::Part };
         let round = |r: &Round<V>| {
             self.show_estimate(r, finish, goal)?;
             self.round_at(r, &seen)

@@ -41,4 +41,4 @@ pub use job::{Budget, Canceled, Observer, Pass, Progress, Unobserved};
 pub use lightmap::LightMap;
 pub use refine::refine;
 pub use update::update;
-pub use world::{LightInfo, NO_OBJECT, ObjectInfo, Transition, Trees, World, WorldError, WorldOptions};
+pub use world::{LightInfo, NO_OBJECT, ObjectInfo, Stated, Transition, Trees, World, WorldError, WorldOptions};

@@ -10,6 +10,7 @@ use crate::layers::Stack;
 use crate::lightmap::LightMap;
 use crate::random::subseed;
 use crate::transport::{Value, Work};
+use crate::world::World;
 
 /// Samples per element of the first two rounds; every later round doubles the total.
 const FIRST_SAMPLES: u32 = 4;
@@ -99,8 +100,8 @@ impl<V: Value> First<V> {
 
 /// Rounds to be run.
 pub(crate) struct Rounds<'a> {
-    /// Slots of the map.
-    pub len: usize,
+    /// What the map is of.
+    pub world: &'a World,
     /// What each layer weighs in the whole.
     pub weights: &'a [glam::Vec3],
     /// When to stop.
@@ -124,7 +125,7 @@ impl Rounds<'_> {
     ) -> Result<Option<Accumulator<V>>, Canceled> {
         let (budget, work) = (self.budget, self.work);
         let observer = work.observer();
-        let mut sum = Accumulator::new(self.len, self.weights);
+        let mut sum = Accumulator::new(self.world.slots(), self.weights, self.world.stated());
         for index in 0.. {
             let left = budget.samples_per_element.saturating_sub(sum.samples());
             if left == 0 {
@@ -166,7 +167,7 @@ impl Rounds<'_> {
     ) -> Result<Option<Arc<LightMap>>, Canceled> {
         let Rounds { budget, work, phase, .. } = *self;
         let observer = work.observer();
-        let mut sum = Accumulator::new(self.len, self.weights);
+        let mut sum = Accumulator::new(self.world.slots(), self.weights, self.world.stated());
         let mut last: Option<Arc<LightMap>> = None;
         let mut estimated_rmse = None;
         for index in 0.. {

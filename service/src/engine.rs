@@ -16,7 +16,7 @@ pub use rebake_core::{
     Budget, Canceled, DragBasis, Edit, EditError, EditErrorKind, Focus, Importance, LightMap, Observer, Pass, Progress,
     Relight, TileMode, Tiles,
 };
-pub use rebake_core::{Transition, World, WorldError};
+pub use rebake_core::{Stated, Transition, World, WorldError};
 
 use crate::config::Limits;
 
@@ -129,11 +129,12 @@ pub(crate) fn add_environment(scene: &mut Scene, radiance: Vec3) -> bool {
 }
 
 /// Lays out elements and builds trees: seconds for large scenes.
-pub(crate) fn build(scene: Scene, spacing: Option<f32>, limits: &Limits) -> Result<World, WorldError> {
+pub(crate) fn build(scene: Scene, spacing: Option<f32>, stated: Stated, limits: &Limits) -> Result<World, WorldError> {
     let options = rebake_core::WorldOptions {
         spacing,
         max_elements: limits.elements,
         max_triangles: limits.subdivided_triangles,
+        stated,
     };
     World::new(scene, &options)
 }

@@ -116,7 +116,8 @@ fn build(app: &App, glb: &[u8], record: &SceneRecord) -> Result<World, StoreErro
         engine::add_environment(&mut scene, Vec3::from_array(radiance));
     }
     scene.groups = record.groups.clone();
-    engine::build(scene, Some(record.spacing), &app.config.limits).map_err(|error| unreadable(&error))
+    engine::build(scene, Some(record.spacing), record.mode.stated(), &app.config.limits)
+        .map_err(|error| unreadable(&error))
 }
 
 /// A scene after all of its edits.

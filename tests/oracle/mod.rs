@@ -11,5 +11,6 @@ mod paper;
 mod path;
 mod plates;
 mod scenes;
+mod stated;
 mod statistics;
 mod tiles;

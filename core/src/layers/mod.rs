@@ -45,7 +45,7 @@ pub struct Layer {
     pub direct: Vec<Vec3>,
     /// After at least one bounce.
     pub indirect: Vec<Vec3>,
-    /// Estimated variance of direct + indirect, mean over RGB.
+    /// Estimated variance of what the world states the error of ([`crate::Stated`]), mean over RGB.
     pub variance: Vec<f32>,
 }
 

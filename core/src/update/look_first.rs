@@ -78,8 +78,8 @@ impl<V: Value> Updater<'_, V> {
         };
         let (budget, seed) = (&goal.first_budget(), goal.first_seed());
         // The rest of the map is out of date: nothing can be stated about the whole.
-        let (len, weights) = (self.world.slots(), self.stage.weights);
-        let rounds = Rounds { len, weights, budget, seed, work, phase: Phase::Part };
+        let (world, weights) = (self.world, self.stage.weights);
+        let rounds = Rounds { world, weights, budget, seed, work, phase: Phase::Part };
         rounds.run(|_| None, |_| false, |r| self.round_of(r, &look), compose)?;
         Ok(last.take().map(|(stack, samples)| First::evenly(stack, &look.is_seen, samples)))
     }

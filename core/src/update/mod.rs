@@ -141,7 +141,7 @@ pub(crate) fn run_stage<V: Value>(stage: Stage<V>, goal: &Goal, work: &Work) -> 
         budget.target_rmse.is_some() && s.knows_variance() && updater.mean(&s.variance()) < SETTLED * carried
     };
     let phase = if first.is_some() { Phase::Rest } else { Phase::Whole };
-    let rounds = Rounds { len: world.slots(), weights, budget, seed, work, phase };
+    let rounds = Rounds { world, weights, budget, seed, work, phase };
     let map = rounds.run(stated, enough, round, compose)?;
     Ok(map.map(|map| Updated { map, baked: baker.get().is_some() }))
 }

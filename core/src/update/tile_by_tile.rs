@@ -80,7 +80,7 @@ impl<V: Value> Updater<'_, V> {
             let progress = Progress { round_fraction: fraction, ..Progress::at_once(pass, 0, None) };
             work.observer().progress(&Progress { rays: work.rays(), ..progress });
         };
-        let sum = Accumulator::new(0, self.stage.weights);
+        let sum = Accumulator::new(0, self.stage.weights, self.world.stated());
         self.know_roughly(&Round { samples: 1, seed: goal.first_seed(), sum: &sum, begin: &begin })
     }
 
@@ -107,9 +107,9 @@ impl<V: Value> Updater<'_, V> {
         tile.iter().for_each(|&slot| is_seen[slot as usize] = true);
         let known = known.clone().around(&is_seen);
         let look = self.look_with(is_seen, known);
-        let (len, weights) = (self.world.slots(), self.stage.weights);
+        let (world, weights) = (self.world, self.stage.weights);
         let (budget, seed) = (&goal.first_budget(), subseed(goal.first_seed(), 1 + index));
-        let rounds = Rounds { len, weights, budget, seed, work, phase: Phase::Part };
+        let rounds = Rounds { world, weights, budget, seed, work, phase: Phase::Part };
         rounds.run_quietly(|round| self.round_of(round, &look))
     }
 }

@@ -46,11 +46,34 @@ pub struct WorldOptions {
     pub max_elements: usize,
     /// More subdivided triangles than this are refused.
     pub max_triangles: usize,
+    /// What light maps state the error of.
+    pub stated: Stated,
+}
+
+/// Light whose error is stated, and by which samples are spent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Stated {
+    /// Direct and indirect light.
+    #[default]
+    Full,
+    /// Indirect light alone: whoever uses such a map computes direct light otherwise.
+    Indirect,
+}
+
+impl Stated {
+    /// The part of some light that counts.
+    #[inline]
+    pub(crate) fn of<V: std::ops::Add<Output = V>>(self, direct: V, indirect: V) -> V {
+        match self {
+            Stated::Full => direct + indirect,
+            Stated::Indirect => indirect,
+        }
+    }
 }
 
 impl Default for WorldOptions {
     fn default() -> Self {
-        WorldOptions { spacing: None, max_elements: 20_000_000, max_triangles: 40_000_000 }
+        WorldOptions { spacing: None, max_elements: 20_000_000, max_triangles: 40_000_000, stated: Stated::Full }
     }
 }
 
@@ -127,6 +150,11 @@ impl World {
     /// Largest distance between neighbouring elements, metres.
     pub fn spacing(&self) -> f32 {
         self.spacing
+    }
+
+    /// What light maps state the error of.
+    pub fn stated(&self) -> Stated {
+        self.options.stated
     }
 
     /// Length of the light map, holes of removed objects included.

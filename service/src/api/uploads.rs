@@ -30,7 +30,7 @@ use crate::state::App;
 use crate::store::layers::LAYER_BYTES;
 use crate::store::records::SceneRecord;
 use crate::store::scenes::{NewScene, Reservation, SceneEntry};
-use crate::store::versions::FIRST_RESERVE;
+use crate::store::versions::{FIRST_RESERVE, Mode};
 
 /// Media types of an uploaded file.
 pub(super) const GLB_TYPES: &[&str] = &["model/gltf-binary", "application/octet-stream"];
@@ -229,7 +229,7 @@ fn build_world(app: &App, glb: &Bytes, options: &Options) -> ApiResult<World> {
     let of_layers = memory::estimate_layers(bytes, layers::count(&scene, &scene.groups));
     let what = if of_layers > 0 { "scene with its layers" } else { "scene" };
     let _promise = app.promise_memory(bytes.saturating_add(of_layers), 0).map_err(|full| memory_problem(what, full))?;
-    engine::build(scene, spacing, limits).map_err(|error| match error {
+    engine::build(scene, spacing, Mode::from(options.mode).stated(), limits).map_err(|error| match error {
         WorldError::TooLarge { .. } | WorldError::Surface { source: SurfaceError::TooManyElements { .. }, .. } => {
             Problem::new(Kind::SceneTooLarge, error.to_string())
         }

@@ -36,3 +36,13 @@ pub enum Mode {
     /// Indirect only, as the published method is measured.
     Indirect,
 }
+
+impl Mode {
+    /// What light maps state the error of.
+    pub fn stated(self) -> rebake_core::Stated {
+        match self {
+            Mode::Full => rebake_core::Stated::Full,
+            Mode::Indirect => rebake_core::Stated::Indirect,
+        }
+    }
+}

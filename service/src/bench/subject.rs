@@ -50,7 +50,8 @@ impl Subject<'_> {
         let is_named = |case: &Case| options.filter.as_ref().is_none_or(|part| case.name.contains(part));
         let is_run = |case: &Case| is_named(case) && is_wanted(case);
         ensure!(self.file.cases.iter().any(is_run), "cases: none is of the name and kind to run");
-        let world_options = WorldOptions { spacing: Some(spacing), ..WorldOptions::default() };
+        let stated = options.mode.stated();
+        let world_options = WorldOptions { spacing: Some(spacing), stated, ..WorldOptions::default() };
         for (k, case) in self.file.cases.iter().enumerate().filter(|(_, case)| is_run(case)) {
             watcher.step(&case.name, "edit");
             let prepared = case.prepare(self.scene, self.folder, &world_options);

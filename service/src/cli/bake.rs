@@ -11,7 +11,7 @@ use glam::Vec3;
 use indicatif::ProgressBar;
 use rebake_core::export::{lightmap_exr, lightmap_glb};
 use rebake_core::scene::{Light, LightKind, LoadLimits, Scene, load_glb};
-use rebake_core::{Budget, LightMap, Observer, Progress, World, WorldOptions};
+use rebake_core::{Budget, LightMap, Observer, Progress, Stated, World, WorldOptions};
 
 use super::exit::{self, Interrupted};
 use super::remote::Replacement;
@@ -68,6 +68,16 @@ enum Mode {
     Indirect,
 }
 
+impl Mode {
+    /// What the error is stated of.
+    fn stated(self) -> Stated {
+        match self {
+            Mode::Full => Stated::Full,
+            Mode::Indirect => Stated::Indirect,
+        }
+    }
+}
+
 fn is_glb(path: &Path) -> bool {
     path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("glb"))
 }
@@ -109,7 +119,9 @@ fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
     // Opened now: a place that cannot be written is better known before the bake than after it.
     let mut out = Replacement::begin(&args.output)?;
     let spinner = ui::spinner("elements");
-    let options = WorldOptions { spacing: args.spacing.map(|spacing| spacing as f32), ..WorldOptions::default() };
+    let stated = args.mode.stated();
+    let spacing = args.spacing.map(|spacing| spacing as f32);
+    let options = WorldOptions { spacing, stated, ..WorldOptions::default() };
     let world = World::new(scene, &options);
     spinner.finish_and_clear();
     let world = world?;

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::layers::PublishedLayer;
 use super::records::LightState;
-use crate::engine::{LightMap, ObjectSummary, VALUE_BYTES, World, layout_hash, objects};
+use crate::engine::{LightMap, ObjectSummary, Stated, VALUE_BYTES, World, layout_hash, objects};
 
 /// Versions that are reserved for a scene at once. No version above the reserved ones is ever given, so after a crash
 /// the next one is new even where the light of the last ones is lost.
@@ -77,6 +77,14 @@ impl Part {
 }
 
 impl Mode {
+    /// What the error is stated of.
+    pub(crate) fn stated(self) -> Stated {
+        match self {
+            Mode::Full => Stated::Full,
+            Mode::Indirect => Stated::Indirect,
+        }
+    }
+
     /// What is published.
     pub(crate) fn part(self) -> Part {
         match self {
