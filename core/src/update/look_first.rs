@@ -121,7 +121,7 @@ impl<V: Value> Updater<'_, V> {
         let round = Round { samples, seed: subseed(round.seed, 0xa11), ..*round };
         let mut parts = Parts::black(self.world.slots());
         self.arriving(&round, &self.extents(is_fine), (&self.transition.new_rows, None), &mut parts)?;
-        let bounces = self.propagate(&parts, &round, None)?;
+        let bounces = self.propagate(&parts, &round, None, &[])?;
         let indirect = parts.indirect.iter().zip(&bounces).map(|(i, b)| *i + *b).collect();
         Ok(Known { parts, bounces: bounces.into(), indirect })
     }
@@ -140,7 +140,7 @@ impl<V: Value> Updater<'_, V> {
         };
         let mut parts = parts.clone();
         self.arriving(round, &look.seen, (&look.new_rows, Some(indirect)), &mut parts)?;
-        let mut fresh = self.propagate(&parts, round, Some((&look.rows, bounces)))?;
+        let mut fresh = self.propagate(&parts, round, Some((&look.rows, bounces)), &look.seen.source.fine)?;
         let unseen = look.is_seen.iter().zip(fresh.iter_mut().zip(bounces.iter())).filter(|(seen, _)| !**seen);
         unseen.for_each(|(_, (fresh, known))| *fresh = *known);
         Ok(parts.with(&fresh))

@@ -13,6 +13,7 @@ mod extent;
 mod look_first;
 mod new_rows;
 mod places;
+mod propagate;
 mod source;
 mod tile_by_tile;
 mod updater;

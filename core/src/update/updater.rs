@@ -10,24 +10,17 @@ use super::{Stage, direct, source};
 use crate::accumulate::Accumulator;
 use crate::job::{Canceled, Pass};
 use crate::layers::Stack;
-use crate::random::{Pcg32, subseed};
 use crate::rounds::{Estimate, First, Round};
-use crate::solve::{Exchange, Rows, Subset};
-use crate::transport::{Source, Spots, Surfel, Value, Work};
+use crate::solve::{Rows, Subset};
+use crate::transport::{Value, Work};
 use crate::world::{Transition, World};
 
 /// Slots per task.
-const CHUNK: usize = 4096;
-
-/// Samples of the propagation per representative and round: at least, at most.
-const PROPAGATION_SAMPLES: (u32, u32) = (8, 64);
+pub(super) const CHUNK: usize = 4096;
 
 /// Mean square of the change over that of the light after it from which on the update is a bake. Edits of furniture are
 /// below 0.03; in bright rooms 0.5 has left a bias of 2 % behind (`tests/hard_cases.rs`).
 const OUTGROWN: f64 = 0.4;
-
-/// Part of them that a change gets that drowns in the noise of the old map.
-const LEAST_WEIGHT: f64 = 0.25;
 
 /// Where the parts of a round are estimated element by element.
 pub(super) struct Extents {
@@ -78,13 +71,13 @@ pub(super) struct Updater<'a, V> {
     /// Computed elements that keep an old value.
     pub(super) static_rows: Vec<u32>,
     /// The same by slot.
-    is_static: Vec<bool>,
+    pub(super) is_static: Vec<bool>,
     pub(super) subset: Subset,
-    rows: Arc<Rows>,
+    pub(super) rows: Arc<Rows>,
     pub(super) source: source::Source<'a>,
     direct: direct::DirectChange<'a>,
     /// Change of albedo per part of the new world.
-    repaint: Vec<Vec3>,
+    pub(super) repaint: Vec<Vec3>,
 }
 
 impl<'a, V: Value> Updater<'a, V> {
@@ -151,7 +144,7 @@ impl<'a, V: Value> Updater<'a, V> {
         let mut parts = Parts::black(self.world.slots());
         let known = (round.sum.samples() > 0).then(|| round.sum.indirect());
         self.arriving(round, extents, (&self.transition.new_rows, known.as_deref()), &mut parts)?;
-        let bounces = self.propagate(&parts, round, None)?;
+        let bounces = self.propagate(&parts, round, None, &extents.source.fine)?;
         Ok(parts.with(&bounces))
     }
 
@@ -196,75 +189,6 @@ impl<'a, V: Value> Updater<'a, V> {
             left += f64::from(areas[slot]) * f64::from(then.length_squared());
         }
         change >= OUTGROWN * left && change > 0.0
-    }
-
-    /// X = Σ_k u_k. New rows have gathered ΔD and the repainted surfaces already: they see only what S changed. Where X is
-    /// `known` roughly, only what some rows gather of it is computed anew, and the answer is of use for them only.
-    pub(super) fn propagate(
-        &self,
-        parts: &Parts<V>,
-        round: &Round<V>,
-        known: Option<(&Arc<Rows>, &[V])>,
-    ) -> Result<Vec<V>, Canceled> {
-        let world = self.world;
-        let Parts { direct, indirect } = parts;
-        (round.begin)(Pass::Propagation, 0.8);
-        let seen = |light: &(dyn Fn(usize) -> V + Sync)| -> Vec<V> {
-            let slots = self.is_static.par_iter().enumerate().with_min_len(CHUNK);
-            slots.map(|(slot, is_static)| if *is_static { light(slot) } else { V::default() }).collect()
-        };
-        let mut seen_by_old = seen(&|slot| direct[slot] + indirect[slot]);
-        let mut seen_by_new = seen(&|slot| indirect[slot]);
-        // Elements that came out of a solid had a value copied from neighbours, and S has looked that up.
-        for &slot in &self.transition.filled_rows {
-            let slot = slot as usize;
-            seen_by_old[slot] = direct[slot] + indirect[slot] - self.before_total[slot];
-        }
-        world.validity.fill(&mut seen_by_old);
-        world.validity.fill(&mut seen_by_new);
-        let is_new = self.new_flags();
-        let (repaint, old_total) = (&self.repaint, &self.old_total);
-        let repainted = repaint.iter().any(|r| *r != Vec3::ZERO);
-        // Near surfaces are looked up too: the change has no other estimate there. Its bounces are not. New rows have
-        // gone on from near surfaces through the new scene when they were gathered.
-        let change = |slot: u32, s: &Surfel, near: bool, _: &mut Pcg32, _: &mut u64| {
-            let Some(elements) = s.elements else { return V::default() };
-            let bounced = match known {
-                Some((_, bounces)) if !near => s.interpolate(elements, bounces) * s.albedo,
-                _ => V::default(),
-            };
-            if is_new.get(slot as usize).copied().unwrap_or(false) {
-                return if near { bounced } else { bounced + s.interpolate(elements, &seen_by_new) * s.albedo };
-            }
-            let change = bounced + s.interpolate(elements, &seen_by_old) * s.albedo;
-            if !repainted {
-                return change;
-            }
-            change + s.interpolate(elements, old_total) * repaint[s.part as usize]
-        };
-        let spots = Spots::of_map(world, &seen_by_old, self.stage.weights);
-        let source = Source { radiance: change, looked_up: &seen_by_old, sky: V::default(), spots: spots.as_ref() };
-        let samples = (round.samples * 2).clamp(PROPAGATION_SAMPLES.0, PROPAGATION_SAMPLES.1);
-        let samples = (f64::from(samples) * self.weight_of(&seen_by_old)).ceil() as u32;
-        let seed = subseed(round.seed, 0x9409);
-        let rows = known.map_or(&self.rows, |(rows, _)| rows);
-        let exchange = Exchange::trace(world, &self.subset, rows, &source, samples, seed, self.work)?;
-        let bounces = match known {
-            Some(_) => exchange.to_representatives(&self.subset, &exchange.first),
-            None => exchange.to_representatives(&self.subset, &exchange.all_bounces(&exchange.first)),
-        };
-        let mut field = self.subset.interpolate(&bounces);
-        world.validity.fill(&mut field);
-        Ok(field)
-    }
-
-    /// How well a change has to be known beside the noise that the old map has anyway, up to 1.
-    fn weight_of(&self, change: &[V]) -> f64 {
-        let square = |v: &V| v.weighted(self.stage.weights).length_squared() / 3.0;
-        let squares: Vec<f32> = change.par_iter().with_min_len(CHUNK).map(square).collect();
-        let carried = self.mean(&self.old.variance);
-        let ratio = if carried > 0.0 { self.mean(&squares) / carried } else { 1.0 };
-        if ratio.is_finite() { ratio.clamp(LEAST_WEIGHT, 1.0) } else { 1.0 }
     }
 
     pub(super) fn new_flags(&self) -> Vec<bool> {
