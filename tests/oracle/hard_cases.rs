@@ -216,6 +216,33 @@ fn open_scenes_degenerate_and_duplicate_triangles() {
     assert!((ratio - 1.0).abs() < 0.02, "open scene: mean is {ratio:.4} of path tracing");
 }
 
+/// Every triangle split into four.
+fn split(mesh: &Mesh) -> Mesh {
+    let mut fine = Mesh { triangles: Vec::new(), triangle_materials: Vec::new(), ..mesh.clone() };
+    for (&[a, b, c], &material) in mesh.triangles.iter().zip(&mesh.triangle_materials) {
+        let [ab, bc, ca] = [(a, b), (b, c), (c, a)].map(|(p, q)| {
+            fine.positions.push((mesh.positions[p as usize] + mesh.positions[q as usize]) / 2.0);
+            fine.normals.extend(mesh.normals.get(p as usize).copied());
+            fine.positions.len() as u32 - 1
+        });
+        fine.triangles.extend([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]);
+        fine.triangle_materials.extend([material; 4]);
+    }
+    fine
+}
+
+/// A spacing far above that of the meshes asks for no more elements than they have, and for no less of their light.
+#[test]
+fn meshes_finer_than_the_spacing_are_lit_as_fine_as_they_are() {
+    let fine = |object: Object| {
+        let mesh = (0..5).fold((*object.mesh).clone(), |mesh, _| split(&mesh));
+        Object { mesh: mesh.into(), ..object }
+    };
+    let world = world(room_objects(0.9).into_iter().map(fine).collect(), 10.0);
+    let ratio = ratio_to_path_tracing(&world, &baked(&world, 64), 512);
+    assert!((ratio - 1.0).abs() < 0.01, "mean is {ratio:.4} of path tracing");
+}
+
 #[test]
 fn light_through_a_slit() {
     // Two rooms, the wall between them has a slit of 2 cm over a height of 1 m.

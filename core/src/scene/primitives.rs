@@ -47,11 +47,11 @@ impl Mesh {
         mesh
     }
 
-    /// A sphere around the origin: an icosahedron, each face split into four `levels` times (at most 7 levels:
-    /// 327,680 triangles), its vertices on the sphere, smooth.
+    /// A sphere around the origin: an icosahedron, each face split into four `levels` times (at most 8 levels:
+    /// 1,310,720 triangles), its vertices on the sphere, smooth.
     pub fn icosphere(radius: f32, levels: u32) -> Self {
         let (mut directions, mut triangles) = icosahedron();
-        for _ in 0..levels.min(7) {
+        for _ in 0..levels.min(8) {
             let mut middles = BTreeMap::new();
             let mut middle = |a: u32, b: u32| {
                 *middles.entry((a.min(b), a.max(b))).or_insert_with(|| {
@@ -200,6 +200,6 @@ mod tests {
     #[test]
     fn icospheres_quadruple_per_level_up_to_their_limit() {
         let triangles = |levels| Mesh::icosphere(1.0, levels).triangles.len();
-        assert_eq!([triangles(0), triangles(1), triangles(3), triangles(99)], [20, 80, 1280, 327_680]);
+        assert_eq!([triangles(0), triangles(1), triangles(3), triangles(99)], [20, 80, 1280, 1_310_720]);
     }
 }

@@ -45,7 +45,7 @@ impl<'a> Source<'a> {
     pub(super) fn is_near(&self) -> impl Fn(u32) -> bool {
         let world = &self.transition.after;
         let boxes = self.transition.changed_bounds();
-        let reach = NEAR_ZONE * world.spacing();
+        let reach = NEAR_ZONE * world.resolution.smooth;
         move |slot| {
             let p = world.positions()[slot as usize];
             boxes.iter().any(|(low, high)| (p.clamp(*low, *high) - p).length_squared() < reach * reach)

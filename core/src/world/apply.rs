@@ -159,9 +159,9 @@ impl Draft {
     fn add_object(&mut self, object: crate::scene::Object) -> Result<(), EditError> {
         let world = &self.world;
         let (surface, coarse) =
-            build::subdivide(&world.scene, &object, world.spacing, &world.options).map_err(|e| too_large(&e))?;
+            build::subdivide(&world.scene, &object, world.resolution, &world.options).map_err(|e| too_large(&e))?;
         let present = self.world.placed.iter().map(|p| &*p.surface).chain([&*surface]);
-        build::check_size(present, world.spacing, &world.options).map_err(|e| too_large(&e))?;
+        build::check_size(present, world.spacing(), &world.options).map_err(|e| too_large(&e))?;
         let key = self.world.next_key;
         self.world.next_key += 1;
         let placed = build::place(&mut self.geometry, &mut self.parts, &object, surface, coarse, key, false);
@@ -262,7 +262,7 @@ impl Draft {
             ranges = placed.map(|p| p.placement.elements.clone()).collect();
             let grown: Vec<(Vec3, Vec3)> = touched
                 .iter()
-                .map(|(l, h)| (*l - Vec3::splat(world.spacing), *h + Vec3::splat(world.spacing)))
+                .map(|(l, h)| (*l - Vec3::splat(world.spacing()), *h + Vec3::splat(world.spacing())))
                 .collect();
             world.validity = Arc::new(Validity::updated(&before.validity, &world, &ranges, &grown));
             world.look_around(Some(&grown), |placed| come.contains(&placed.key));

@@ -7,21 +7,26 @@ use glam::{DMat4, Vec3};
 use rayon::prelude::*;
 
 use super::emitters::EmissiveTriangle;
-use super::{Coarse, Emitters, Geometry, Part, Placed, Trees, Validity, World, WorldError, WorldOptions, probe};
+use super::{
+    Coarse, Emitters, Geometry, Part, Placed, Resolution, Trees, Validity, World, WorldError, WorldOptions, probe,
+};
 use crate::bvh::{BuildQuality, Bvh};
 use crate::scene::{Object, Scene};
 use crate::surface::{DEFAULT_ELEMENTS, Surface, default_spacing, object_area};
 
-/// Edge of the cells that smooth light is evaluated in, in units of the spacing.
+/// Edge of the cells that smooth light is evaluated in, in units of [`Resolution::smooth`].
 pub(crate) const COARSE_RADIUS: f32 = 2.5;
 
 /// Ray offset over the largest coordinate: about thirty units in the last place of `f32`.
 const EPSILON: f32 = 4e-6;
 
 pub(super) fn build(scene: Scene, options: &WorldOptions) -> Result<World, WorldError> {
-    let spacing = spacing_of(&scene, options)?;
+    let default = default_spacing(scene.objects.par_iter().map(object_area).sum(), DEFAULT_ELEMENTS);
+    let spacing = spacing_of(options, default)?;
+    // Meshes may be finer than a spacing that is given, and light then shows details that large cells would blur.
+    let resolution = Resolution { spacing, smooth: spacing.min(default) };
     let surfaces: Vec<(Arc<Surface>, Arc<Coarse>)> =
-        scene.objects.par_iter().map(|o| subdivide(&scene, o, spacing, options)).collect::<Result<_, _>>()?;
+        scene.objects.par_iter().map(|o| subdivide(&scene, o, resolution, options)).collect::<Result<_, _>>()?;
     check_size(surfaces.iter().map(|(s, _)| &**s), spacing, options)?;
 
     let mut placed = Vec::with_capacity(surfaces.len());
@@ -36,7 +41,7 @@ pub(super) fn build(scene: Scene, options: &WorldOptions) -> Result<World, World
     let mut world = World {
         scene,
         options: *options,
-        spacing,
+        resolution,
         placed: placed.into_iter().map(Arc::new).collect(),
         geometry: Arc::new(geometry),
         parts: Arc::new(parts),
@@ -55,11 +60,11 @@ pub(super) fn build(scene: Scene, options: &WorldOptions) -> Result<World, World
     Ok(world)
 }
 
-fn spacing_of(scene: &Scene, options: &WorldOptions) -> Result<f32, WorldError> {
+fn spacing_of(options: &WorldOptions, default: f32) -> Result<f32, WorldError> {
     match options.spacing {
         Some(s) if s.is_finite() && s > 0.0 => Ok(s),
         Some(s) => Err(WorldError::Spacing(s)),
-        None => Ok(default_spacing(scene.objects.par_iter().map(object_area).sum(), DEFAULT_ELEMENTS)),
+        None => Ok(default),
     }
 }
 
@@ -71,12 +76,12 @@ pub(super) fn scene_from_object(scene: &Scene, object: &Object) -> DMat4 {
 pub(super) fn subdivide(
     scene: &Scene,
     object: &Object,
-    spacing: f32,
+    resolution: Resolution,
     options: &WorldOptions,
 ) -> Result<(Arc<Surface>, Arc<Coarse>), WorldError> {
-    let surface = Surface::build(object, scene_from_object(scene, object), spacing, options.max_elements)
+    let surface = Surface::build(object, scene_from_object(scene, object), resolution.spacing, options.max_elements)
         .map_err(|source| WorldError::Surface { object: object.name.clone(), source })?;
-    let coarse = Coarse::new(&surface.positions, &surface.normals, &surface.areas, COARSE_RADIUS * spacing);
+    let coarse = Coarse::new(&surface.positions, &surface.normals, &surface.areas, COARSE_RADIUS * resolution.smooth);
     Ok((Arc::new(surface), Arc::new(coarse)))
 }
 
@@ -163,7 +168,7 @@ fn give_backs(world: &mut World) -> Result<(), WorldError> {
     }
     if geometry.owners.len() > world.options.max_elements {
         let (what, limit) = ("elements", world.options.max_elements);
-        return Err(WorldError::TooLarge { what, limit, spacing: world.spacing });
+        return Err(WorldError::TooLarge { what, limit, spacing: world.spacing() });
     }
     // Triangle slots are the same: the tree stays good.
     world.geometry = Arc::new(geometry);

@@ -120,13 +120,22 @@ pub(crate) struct Placed {
     pub parts_first: u32,
 }
 
+/// How far what is computed lies apart, metres.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Resolution {
+    /// Elements, at most.
+    pub spacing: f32,
+    /// What smooth light is measured by: the spacing, or that of a scene of this size by default where it is finer.
+    pub smooth: f32,
+}
+
 /// Immutable snapshot of a scene with its elements and trees. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct World {
     /// What was loaded and edited.
     pub scene: Scene,
     pub(crate) options: WorldOptions,
-    pub(crate) spacing: f32,
+    pub(crate) resolution: Resolution,
     /// In the order of `scene.objects`.
     pub(crate) placed: Vec<Arc<Placed>>,
     pub(crate) geometry: Arc<Geometry>,
@@ -149,7 +158,7 @@ impl World {
 
     /// Largest distance between neighbouring elements, metres.
     pub fn spacing(&self) -> f32 {
-        self.spacing
+        self.resolution.spacing
     }
 
     /// What light maps state the error of.

@@ -12,7 +12,7 @@ impl World {
     /// surfaces (up to rounding), albedos and lights. Names of objects, the order of things, trees and free slots do not count.
     pub fn is_lit_like(&self, other: &World) -> bool {
         self.scene.origin == other.scene.origin
-            && self.spacing == other.spacing
+            && self.spacing() == other.spacing()
             && self.element_count() == other.element_count()
             && self.has_lights_of(other)
             && self.has_objects_of(other)

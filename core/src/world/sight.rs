@@ -56,7 +56,7 @@ impl World {
     /// How far above a surface sight is asked for, metres.
     #[inline]
     pub(crate) fn lift(&self) -> f32 {
-        (LIFT * self.spacing).max(4.0 * self.epsilon)
+        (LIFT * self.resolution.smooth).max(4.0 * self.epsilon)
     }
 
     /// Asks anew where geometry has changed, and everywhere for objects that are new.
@@ -68,7 +68,7 @@ impl World {
             .map(|placed| {
                 let old = world.sight.get(&placed.key);
                 let touched = if is_new(placed) { None } else { touched };
-                if touched.is_some_and(|boxes| !boxes.iter().any(|b| overlap(b, &grown(placed, world.spacing)))) {
+                if touched.is_some_and(|boxes| !boxes.iter().any(|b| overlap(b, &grown(placed, world.spacing())))) {
                     return (None, Vec::new());
                 }
                 (Some(hidden_entries(world, placed, touched, old.map(|o| &**o))), cut_triangles(world, placed, touched))

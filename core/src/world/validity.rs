@@ -117,7 +117,7 @@ impl World {
     /// Validity while other trees stand in place of the world's, which differ from them within `bounds`.
     pub(crate) fn validity_among(&self, trees: &Trees, bounds: (Vec3, Vec3)) -> Validity {
         let world = World { trees: trees.clone(), ..self.clone() };
-        let grown = (bounds.0 - self.spacing, bounds.1 + self.spacing);
+        let grown = (bounds.0 - self.spacing(), bounds.1 + self.spacing());
         Validity::updated(&self.validity, &world, &[], &[grown])
     }
 }
