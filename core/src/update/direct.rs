@@ -161,8 +161,10 @@ impl<'a> DirectChange<'a> {
         if object_distance - radius > light_distance + light_radius {
             return false;
         }
-        let angle = (to_object.dot(to_light) / (object_distance * light_distance)).clamp(-1.0, 1.0).acos();
-        angle <= (radius / object_distance).asin() + (light_radius / light_distance).asin() + 1e-4
+        // cos(a + b) of the half angles of both cones, from their sines.
+        let (a, b) = (radius / object_distance, light_radius / light_distance);
+        let cos_sum = ((1.0 - a * a) * (1.0 - b * b)).sqrt() - a * b;
+        to_object.dot(to_light) >= (cos_sum - 1e-4) * object_distance * light_distance
     }
 
     /// Free part of the sky before the edit, by the cosine: the change of what hides it is with the source's rays.
