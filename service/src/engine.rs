@@ -26,7 +26,7 @@ pub const ENVIRONMENT: &str = "environment";
 /// Bytes of one slot of a light map, or of one of its layers: direct and indirect light, and their variance.
 pub(crate) const VALUE_BYTES: usize = 2 * size_of::<Vec3>() + size_of::<f32>();
 
-/// What computes light for a job. Called on the threads of a job slot.
+/// What computes light for a job, called on the threads of a job slot. The defaults are the real thing.
 pub trait Engine: Send + Sync + Debug {
     /// From scratch.
     fn bake(
@@ -35,14 +35,13 @@ pub trait Engine: Send + Sync + Debug {
         budget: &Budget,
         seed: u64,
         observer: &dyn Observer,
-    ) -> Result<Arc<LightMap>, Canceled>;
+    ) -> Result<Arc<LightMap>, Canceled> {
+        rebake_core::bake(world, budget, seed, observer)
+    }
 
     /// From the map of `transition.before` to that of `transition.after`.
-    fn update(&self, work: &Update<'_>, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled>;
-
-    /// What frames of dragged lights are made with. The default samples the transport of the world.
-    fn drag_basis(&self, world: &World, seed: u64, observer: &dyn Observer) -> Result<DragBasis, Canceled> {
-        DragBasis::new(world, seed, observer)
+    fn update(&self, work: &Update<'_>, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
+        rebake_core::update(work.transition, work.map, work.budget, work.importance, work.seed, observer)
     }
 
     /// A map that is right for `world`, more accurate.
@@ -53,7 +52,14 @@ pub trait Engine: Send + Sync + Debug {
         budget: &Budget,
         seed: u64,
         observer: &dyn Observer,
-    ) -> Result<Arc<LightMap>, Canceled>;
+    ) -> Result<Arc<LightMap>, Canceled> {
+        rebake_core::refine(world, map, budget, seed, observer)
+    }
+
+    /// What frames of dragged lights are made with: the transport of the world.
+    fn drag_basis(&self, world: &World, seed: u64, observer: &dyn Observer) -> Result<DragBasis, Canceled> {
+        DragBasis::new(world, seed, observer)
+    }
 }
 
 /// The work of an edit job.
@@ -75,32 +81,7 @@ pub struct Update<'a> {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CoreEngine;
 
-impl Engine for CoreEngine {
-    fn bake(
-        &self,
-        world: &World,
-        budget: &Budget,
-        seed: u64,
-        observer: &dyn Observer,
-    ) -> Result<Arc<LightMap>, Canceled> {
-        rebake_core::bake(world, budget, seed, observer)
-    }
-
-    fn update(&self, work: &Update<'_>, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
-        rebake_core::update(work.transition, work.map, work.budget, work.importance, work.seed, observer)
-    }
-
-    fn refine(
-        &self,
-        world: &World,
-        map: &LightMap,
-        budget: &Budget,
-        seed: u64,
-        observer: &dyn Observer,
-    ) -> Result<Arc<LightMap>, Canceled> {
-        rebake_core::refine(world, map, budget, seed, observer)
-    }
-}
+impl Engine for CoreEngine {}
 
 /// Reads an uploaded file.
 pub(crate) fn load(glb: &[u8], limits: &Limits) -> Result<Scene, LoadError> {

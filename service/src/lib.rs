@@ -16,6 +16,7 @@ mod events;
 pub mod jobs;
 mod memory;
 mod metrics;
+mod mode;
 pub mod pictures;
 mod restore;
 mod saving;
@@ -26,5 +27,6 @@ mod store;
 pub mod viewer;
 
 pub use config::Config;
+pub use mode::Mode;
 pub use server::{run, run_while};
 pub use store::faults;

@@ -15,13 +15,14 @@ use crate::engine::{self, Edit, World};
 use crate::jobs::observer::JobBudget;
 use crate::jobs::queue::{JobKind, JobState, Outcome, Priority};
 use crate::jobs::{JobSpec, new_record};
+use crate::mode::Mode;
 use crate::state::App;
 use crate::store::StoreError;
 use crate::store::disk::{Disk, Saved, SavedScene};
 use crate::store::lighting::{Lighting, Sequence, Unlit};
 use crate::store::records::{JobRecord, LightRecord, SceneRecord};
 use crate::store::scenes::{Head, IdempotencyKeys, NewScene, SceneEntry};
-use crate::store::versions::{Mode, Published, RESERVE};
+use crate::store::versions::{Published, RESERVE};
 
 /// Takes in all that was saved, and starts the jobs that were open.
 pub(crate) fn restore(app: &Arc<App>, disk: &Disk, saved: Saved) {

@@ -4,7 +4,7 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::time::Duration;
 
 use glam::Vec3;
-use rebake::engine::{Budget, Canceled, CoreEngine, Engine, LightMap, Observer, Progress, Update, World};
+use rebake::engine::{Budget, Canceled, CoreEngine, Engine, LightMap, Observer, Progress, World};
 use rebake_core::Unobserved;
 use rebake_core::delta::Frame;
 
@@ -58,21 +58,6 @@ impl Engine for Waiting {
     fn bake(&self, world: &World, budget: &Budget, seed: u64, o: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
         *self.unobserved.lock().unwrap() = Some(CoreEngine.bake(world, budget, seed, &Unobserved)?);
         CoreEngine.bake(world, budget, seed, &Behind(self, o))
-    }
-
-    fn update(&self, work: &Update<'_>, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
-        CoreEngine.update(work, observer)
-    }
-
-    fn refine(
-        &self,
-        world: &World,
-        map: &LightMap,
-        budget: &Budget,
-        seed: u64,
-        observer: &dyn Observer,
-    ) -> Result<Arc<LightMap>, Canceled> {
-        CoreEngine.refine(world, map, budget, seed, observer)
     }
 }
 

@@ -109,17 +109,6 @@ impl Engine for Held {
         drop(state);
         CoreEngine.update(work, observer).map(|map| self.made(map))
     }
-
-    fn refine(
-        &self,
-        world: &World,
-        map: &LightMap,
-        budget: &Budget,
-        seed: u64,
-        observer: &dyn Observer,
-    ) -> Result<Arc<LightMap>, Canceled> {
-        CoreEngine.refine(world, map, budget, seed, observer)
-    }
 }
 
 #[tokio::test]

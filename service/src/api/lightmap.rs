@@ -97,7 +97,7 @@ pub(super) async fn get(
         (header::VARY, "accept, accept-encoding".to_owned()),
     ];
     let format = query.format.unwrap_or_else(|| Format::accepted(&headers));
-    let wanted = wanted(&published, &query, format, scene.mode.part())?;
+    let wanted = wanted(&published, &query, format, scene.mode.into())?;
     if known.is_some_and(|tags| tags.matches_weakly(&version)) {
         return Ok((StatusCode::NOT_MODIFIED, about).into_response());
     }

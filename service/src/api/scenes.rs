@@ -101,7 +101,7 @@ pub(super) fn summary(app: &App, scene: &SceneEntry) -> types::SceneSummary {
     types::SceneSummary {
         id: scene.id.clone(),
         name: scene.name.clone(),
-        mode: scene.mode.into(),
+        mode: scene.mode,
         spacing: published.world.spacing(),
         version: published.version,
         elements: published.world.slots() as u64,
@@ -127,7 +127,7 @@ fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::
     types::Scene {
         id: scene.id.clone(),
         name: scene.name.clone(),
-        mode: scene.mode.into(),
+        mode: scene.mode,
         spacing: world.spacing(),
         version: published.version,
         elements_version: published.elements_version,

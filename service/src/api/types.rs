@@ -9,36 +9,8 @@ use utoipa::ToSchema;
 
 pub use super::job_types::{Job, JobKind, JobPriority, JobProgress, JobState};
 use crate::engine;
-use crate::store::versions::{Mode, Part};
-
-/// What a scene's light map holds.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum SceneMode {
-    /// Direct + indirect light.
-    #[default]
-    Full,
-    /// Indirect light only.
-    Indirect,
-}
-
-impl From<SceneMode> for Mode {
-    fn from(mode: SceneMode) -> Mode {
-        match mode {
-            SceneMode::Full => Mode::Full,
-            SceneMode::Indirect => Mode::Indirect,
-        }
-    }
-}
-
-impl From<Mode> for SceneMode {
-    fn from(mode: Mode) -> SceneMode {
-        match mode {
-            Mode::Full => SceneMode::Full,
-            Mode::Indirect => SceneMode::Indirect,
-        }
-    }
-}
+use crate::mode::Mode;
+use crate::store::versions::Part;
 
 /// One part of the light of a layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -72,7 +44,7 @@ pub struct Scene {
     #[schema(example = "living room")]
     pub name: String,
     /// What the light map holds.
-    pub mode: SceneMode,
+    pub mode: Mode,
     /// Largest distance between neighbouring elements, metres.
     #[schema(example = 0.1)]
     pub spacing: f32,
@@ -94,7 +66,7 @@ pub struct Scene {
     /// Memory that the scene holds.
     #[schema(example = 9_211_340)]
     pub memory_bytes: u64,
-    /// Stated error of the light map: area-weighted RMSE (irradiance / π).
+    /// Stated error of the light that the map holds (`mode`): area-weighted RMSE (irradiance / π).
     #[schema(example = 0.012)]
     pub estimated_rmse: Option<f32>,
     /// Accepted edits whose light is not in the map yet: those of jobs that wait, run or were canceled.
@@ -131,7 +103,7 @@ pub struct SceneSummary {
     #[schema(example = "living room")]
     pub name: String,
     /// What the light map holds.
-    pub mode: SceneMode,
+    pub mode: Mode,
     /// Largest distance between neighbouring elements, metres.
     pub spacing: f32,
     /// Version of the light map.

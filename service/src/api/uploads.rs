@@ -20,17 +20,18 @@ use super::extract::{ApiQuery, read_body, require_content_type};
 use super::layers::{self, Wanted};
 use super::problem::{ApiResult, Kind, Problem};
 use super::scenes::scene_json;
-use super::types::{self, JobPriority, SceneMode};
+use super::types::{self, JobPriority};
 use super::{Shared, require_serving};
 use crate::engine::{self, LoadError, SurfaceError, World, WorldError};
 use crate::jobs::queue::{Full, JobKind};
 use crate::jobs::{JobSpec, new_record};
 use crate::memory::{self, NoRoom};
+use crate::mode::Mode;
 use crate::state::App;
 use crate::store::layers::LAYER_BYTES;
 use crate::store::records::SceneRecord;
 use crate::store::scenes::{NewScene, Reservation, SceneEntry};
-use crate::store::versions::{FIRST_RESERVE, Mode};
+use crate::store::versions::FIRST_RESERVE;
 
 /// Media types of an uploaded file.
 pub(super) const GLB_TYPES: &[&str] = &["model/gltf-binary", "application/octet-stream"];
@@ -48,7 +49,7 @@ pub(super) struct CreateQuery {
     spacing: Option<f32>,
     /// What the light map holds; `full` where absent.
     #[param(inline)]
-    mode: Option<SceneMode>,
+    mode: Option<Mode>,
     /// Constant radiance from outside, `r,g,b`: adds a light named `environment`.
     #[param(example = "1,1,1")]
     environment: Option<String>,
@@ -114,7 +115,7 @@ fn create_scene(
     let world = build_world(app, glb, &options)?;
     let record = SceneRecord {
         name: options.name,
-        mode: options.mode.into(),
+        mode: options.mode,
         spacing: world.spacing(),
         environment: options.environment.map(|radiance| radiance.to_array()),
         groups: world.scene.groups.clone(),
@@ -167,7 +168,7 @@ fn create_scene(
 struct Options {
     name: String,
     spacing: Option<f32>,
-    mode: SceneMode,
+    mode: Mode,
     environment: Option<Vec3>,
     layers: Wanted,
     bake: Option<crate::jobs::observer::JobBudget>,
@@ -229,7 +230,7 @@ fn build_world(app: &App, glb: &Bytes, options: &Options) -> ApiResult<World> {
     let of_layers = memory::estimate_layers(bytes, layers::count(&scene, &scene.groups));
     let what = if of_layers > 0 { "scene with its layers" } else { "scene" };
     let _promise = app.promise_memory(bytes.saturating_add(of_layers), 0).map_err(|full| memory_problem(what, full))?;
-    engine::build(scene, spacing, Mode::from(options.mode).stated(), limits).map_err(|error| match error {
+    engine::build(scene, spacing, options.mode.stated(), limits).map_err(|error| match error {
         WorldError::TooLarge { .. } | WorldError::Surface { source: SurfaceError::TooManyElements { .. }, .. } => {
             Problem::new(Kind::SceneTooLarge, error.to_string())
         }

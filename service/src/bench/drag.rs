@@ -224,10 +224,7 @@ impl Observer for Rebaking<'_> {
     }
 
     fn snapshot(&self, map: &Arc<LightMap>, _: &Progress) {
-        let values = match self.mode {
-            Mode::Full => (0..map.len()).map(|slot| map.total(slot)).collect(),
-            Mode::Indirect => map.indirect.clone(),
-        };
+        let values = self.mode.values(map).into_owned();
         let seen = Seen { seconds: self.start.elapsed().as_secs_f64(), values };
         self.shown.lock().unwrap_or_else(PoisonError::into_inner).push(seen);
         self.has_light.store(true, Ordering::Relaxed);

@@ -27,22 +27,4 @@ pub use service::run_service;
 pub use study::{Curve, Point, Study, StudyCase, StudyReport, TimeToError, run_study};
 pub use subject::Subject;
 
-/// Which part of the light map errors are measured on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Mode {
-    /// Direct + indirect.
-    Full,
-    /// Indirect only, as the published method is measured.
-    Indirect,
-}
-
-impl Mode {
-    /// What light maps state the error of.
-    pub fn stated(self) -> rebake_core::Stated {
-        match self {
-            Mode::Full => rebake_core::Stated::Full,
-            Mode::Indirect => rebake_core::Stated::Indirect,
-        }
-    }
-}
+pub use crate::Mode;

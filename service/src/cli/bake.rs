@@ -9,9 +9,10 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use glam::Vec3;
 use indicatif::ProgressBar;
+use rebake::Mode;
 use rebake_core::export::{lightmap_exr, lightmap_glb};
 use rebake_core::scene::{Light, LightKind, LoadLimits, Scene, load_glb};
-use rebake_core::{Budget, LightMap, Observer, Progress, Stated, World, WorldOptions};
+use rebake_core::{Budget, LightMap, Observer, Progress, World, WorldOptions};
 
 use super::exit::{self, Interrupted};
 use super::remote::Replacement;
@@ -60,22 +61,6 @@ pub(super) struct BakeArgs {
     /// Threads [default: one per core]
     #[arg(long, value_name = "N", env = "REBAKE_THREADS")]
     threads: Option<NonZeroUsize>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Mode {
-    Full,
-    Indirect,
-}
-
-impl Mode {
-    /// What the error is stated of.
-    fn stated(self) -> Stated {
-        match self {
-            Mode::Full => Stated::Full,
-            Mode::Indirect => Stated::Indirect,
-        }
-    }
 }
 
 fn is_glb(path: &Path) -> bool {
@@ -138,10 +123,7 @@ fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
     };
     let done = Instant::now();
 
-    let values: Vec<Vec3> = match args.mode {
-        Mode::Full => (0..map.len()).map(|i| map.total(i)).collect(),
-        Mode::Indirect => map.indirect.clone(),
-    };
+    let values = args.mode.values(&map);
     let file = if is_glb(&args.output) { lightmap_glb(&world, &values) } else { lightmap_exr(&values) };
     out.write(&file.with_context(|| format!("cannot write {}", args.output.display()))?)?;
     let bytes = out.finish()?;

@@ -7,10 +7,11 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::lighting::Sequence;
-use super::versions::{Lineage, Mode};
+use super::versions::Lineage;
 use crate::engine::{Focus, Importance, LightMap, TileMode, Tiles};
 use crate::jobs::observer::JobBudget;
 use crate::jobs::queue::{Job, JobNumber, SceneNumber};
+use crate::mode::Mode;
 
 /// How a scene was uploaded.
 #[derive(Clone, Debug, Serialize, Deserialize)]

@@ -11,11 +11,12 @@ use super::drag::Drag;
 use super::earlier::Earlier;
 use super::lighting::{Lighting, Lit, Sequence, Unlit, Work};
 use super::records::{KeyRecord, LightRecord};
-use super::versions::{Mode, Published};
+use super::versions::Published;
 use crate::config::Limits;
 use crate::engine::{Edit, LightMap, World};
 use crate::events::EventLog;
 use crate::jobs::queue::{JobNumber, SceneNumber};
+use crate::mode::Mode;
 
 /// One scene.
 pub(crate) struct SceneEntry {

@@ -13,7 +13,8 @@ use serde::{Deserialize, Serialize};
 
 use super::layers::PublishedLayer;
 use super::records::LightState;
-use crate::engine::{LightMap, ObjectSummary, Stated, VALUE_BYTES, World, layout_hash, objects};
+use crate::engine::{LightMap, ObjectSummary, VALUE_BYTES, World, layout_hash, objects};
+use crate::mode::Mode;
 
 /// Versions that are reserved for a scene at once. No version above the reserved ones is ever given, so after a crash
 /// the next one is new even where the light of the last ones is lost.
@@ -49,15 +50,6 @@ impl Lineage {
     }
 }
 
-/// What the published values are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) enum Mode {
-    /// Direct + indirect light.
-    Full,
-    /// Indirect light; the direct part is the client's.
-    Indirect,
-}
-
 /// One part of a light map, or of one of its layers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Part {
@@ -76,18 +68,9 @@ impl Part {
     }
 }
 
-impl Mode {
-    /// What the error is stated of.
-    pub(crate) fn stated(self) -> Stated {
-        match self {
-            Mode::Full => Stated::Full,
-            Mode::Indirect => Stated::Indirect,
-        }
-    }
-
-    /// What is published.
-    pub(crate) fn part(self) -> Part {
-        match self {
+impl From<Mode> for Part {
+    fn from(mode: Mode) -> Part {
+        match mode {
             Mode::Full => Part::Full,
             Mode::Indirect => Part::Indirect,
         }
@@ -213,7 +196,7 @@ impl Published {
         };
         assert_eq!(map.layers.len(), weights.len(), "every layer has a weight");
         let mut next = Published {
-            layers: PublishedLayer::next(&self.layers, &map, weights, self.mode.part(), version),
+            layers: PublishedLayer::next(&self.layers, &map, weights, self.mode.into(), version),
             version,
             elements_version,
             world,
@@ -256,7 +239,7 @@ impl Published {
 
     /// One value per slot of a part of the light.
     pub(crate) fn part(&self, part: Part) -> Cow<'_, [Vec3]> {
-        if part == self.mode.part() {
+        if part == self.mode.into() {
             return self.values().into();
         }
         match part {
@@ -273,7 +256,7 @@ impl Published {
 
     /// What a client lacks that has a layer's values at version `since`; none where the map has no such layer.
     pub(crate) fn layer_delta(&self, name: &str, since: u64) -> Option<Frame> {
-        Some(self.layer(name)?.delta(self.mode.part(), since, self.version))
+        Some(self.layer(name)?.delta(self.mode.into(), since, self.version))
     }
 
     /// What a client at version `since` lacks; everything where that is 0 or nothing is known of that version.

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use indicatif::ProgressBar;
 use rebake::bench::{
-    self, EditFile, Equation, Goal, Method, Options, PictureOptions, Report, StudyReport, Subject, Watcher,
+    self, EditFile, Equation, Goal, Method, Mode, Options, PictureOptions, Report, StudyReport, Subject, Watcher,
 };
 use rebake::sheet::Crop;
 use rebake_core::render::RenderOptions;
@@ -193,12 +193,6 @@ enum MethodName {
     Service,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Mode {
-    Full,
-    Indirect,
-}
-
 fn json_file(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     let json = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("json"));
@@ -219,10 +213,7 @@ impl BenchArgs {
     fn options(&self) -> Options {
         Options {
             spacing: self.spacing.map(|s| s as f32),
-            mode: match self.mode {
-                Mode::Full => bench::Mode::Full,
-                Mode::Indirect => bench::Mode::Indirect,
-            },
+            mode: self.mode,
             methods: self.methods(),
             goals: match self.samples[..] {
                 [] => self.budget_seconds.iter().map(|s| Goal::Seconds(*s)).collect(),

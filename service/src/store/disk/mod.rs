@@ -90,7 +90,7 @@ mod tests {
     use super::*;
     use crate::jobs::observer::JobBudget;
     use crate::jobs::queue::{Job, JobKind, JobState, Outcome, Priority};
-    use crate::store::versions::Mode;
+    use crate::mode::Mode;
 
     fn job(number: u64, scene: u64) -> JobRecord {
         let budget = JobBudget { samples_per_element: 4, max_seconds: Some(0.1), target_rmse: Some(1e-3) };
