@@ -15,7 +15,7 @@ use crate::layers::{Computed, Header, Stack, groups_of, weights_of, weights_with
 use crate::lightmap::LightMap;
 use crate::random::subseed;
 use crate::rounds::{Estimate, First, Goal, Phase, Round, Rounds};
-use crate::solve::{Exchange, Rows, Subset};
+use crate::solve::{Exchange, Paths, Rows, Subset};
 use crate::transport::direct::direct_of;
 use crate::transport::{Effort, Field, Hint, Value, Work, gather};
 use crate::world::World;
@@ -237,7 +237,8 @@ impl<'a> Baker<'a> {
         let source = field.source(world, hint.spots.as_ref());
         let samples = round.samples.clamp(SOLVE_SAMPLES.0, SOLVE_SAMPLES.1);
         let seed = subseed(round.seed, 0x50);
-        let exchange = Exchange::trace(world, &self.subset, &self.rows, &source, samples, seed, self.work)?;
+        let exchange =
+            Exchange::trace(world, &self.subset, &self.rows, &source, Paths::Each(samples), seed, self.work)?;
         let bounces = self.spread(&exchange, &exchange.all_bounces(&exchange.first));
         Ok((exchange, bounces))
     }

@@ -15,7 +15,7 @@ use crate::job::{Canceled, Observer};
 use crate::layers::{Header, Layer, moved_layers, whole_of};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
-use crate::solve::{Exchange, Rows, Subset};
+use crate::solve::{Exchange, Paths, Rows, Subset};
 use crate::transport::direct::direct_of;
 use crate::transport::{Effort, Source, Surfel, Work};
 use crate::world::{Geometry, Part, Transition, World};
@@ -50,7 +50,8 @@ impl DragBasis {
         let dark = |_: u32, _: &Surfel, _: bool, _: &mut crate::random::Pcg32, _: &mut u64| Vec3::ZERO;
         let source = Source { radiance: dark, looked_up: &[], sky: Vec3::ZERO, spots: None };
         let work = Work::new(observer);
-        let exchange = Exchange::trace(world, &subset, &rows, &source, PATHS, subseed(seed, 0xd4a6), &work)?;
+        let exchange =
+            Exchange::trace(world, &subset, &rows, &source, Paths::Each(PATHS), subseed(seed, 0xd4a6), &work)?;
         let (geometry, parts) = (Arc::clone(&world.geometry), Arc::clone(&world.parts));
         Ok(DragBasis { geometry, parts, slots: world.computed_slots(), subset, exchange })
     }

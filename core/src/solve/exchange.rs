@@ -67,57 +67,97 @@ impl Rows {
     }
 }
 
+/// How many paths rows get, at least one each.
+#[derive(Clone, Copy)]
+pub(crate) enum Paths<'a> {
+    /// All the same number.
+    Each(u32),
+    /// A number for every row.
+    OfRows(&'a [u32]),
+}
+
+impl Paths<'_> {
+    /// Where the paths of each of `rows` begin, and where the last one's end.
+    fn offsets(self, rows: usize) -> Vec<usize> {
+        let of_row = |row: usize| match self {
+            Paths::Each(paths) => paths.max(1) as usize,
+            Paths::OfRows(paths) => paths[row].max(1) as usize,
+        };
+        let ends = (0..rows).scan(0, |end, row| {
+            *end += of_row(row);
+            Some(*end)
+        });
+        std::iter::once(0).chain(ends).collect()
+    }
+}
+
+/// The offsets and entries of every task's rows.
+fn chunks<'a>(offsets: &'a [usize], entries: &'a mut [Entry]) -> impl Iterator<Item = (&'a [usize], &'a mut [Entry])> {
+    let mut left = entries;
+    let last = offsets.len() - 1;
+    (0..last).step_by(CHUNK).map(move |row| {
+        let offsets = &offsets[row..=(row + CHUNK).min(last)];
+        let len = offsets[offsets.len() - 1] - offsets[0];
+        (offsets, left.split_off_mut(..len).unwrap_or_default())
+    })
+}
+
 /// A sampled transport matrix and the first gather of a source along its rays.
 pub(crate) struct Exchange<V> {
     rows: Arc<Rows>,
-    samples: usize,
-    /// `samples` entries a row.
+    /// `offsets[i]..offsets[i + 1]` are the entries of row `i`.
+    offsets: Vec<usize>,
     entries: Vec<Entry>,
     /// First gather, per row.
     pub first: Vec<V>,
 }
 
 impl<V: Value> Exchange<V> {
-    /// Traces `samples` paths from every row, to the first surface that can be looked up (near-field rule).
+    /// Traces `paths` from every row, to the first surface that can be looked up (near-field rule).
     pub(crate) fn trace(
         world: &World,
         subset: &Subset,
         rows: &Arc<Rows>,
         source: &Source<impl Radiance<V>, V>,
-        samples: u32,
+        paths: Paths,
         seed: u64,
         work: &Work,
     ) -> Result<Exchange<V>, Canceled> {
-        let samples = samples.max(1) as usize;
-        let mut entries = vec![Entry { row: NONE, element: NONE, weight: Vec3::ZERO }; rows.members.len() * samples];
+        let offsets = paths.offsets(rows.members.len());
+        let mut entries = vec![Entry { row: NONE, element: NONE, weight: Vec3::ZERO }; offsets[rows.members.len()]];
         let mut first = vec![V::default(); rows.members.len()];
         let seed = subseed(seed, 0xec);
-        let tasks = first.par_chunks_mut(CHUNK).zip(entries.par_chunks_mut(CHUNK * samples));
-        tasks.zip(rows.members.par_chunks(CHUNK)).try_for_each(|((first, entries), members)| {
+        let tasks = rows.members.chunks(CHUNK).zip(chunks(&offsets, &mut entries)).zip(first.chunks_mut(CHUNK));
+        tasks.collect::<Vec<_>>().into_par_iter().try_for_each(|((members, (offsets, mut entries)), first)| {
             work.check()?;
             let mut rays = 0;
-            for ((first, entries), &member) in first.iter_mut().zip(entries.chunks_mut(samples)).zip(members) {
-                let slot = subset.slots[member as usize];
-                *first = trace_row(world, subset, rows, slot, source, entries, seed, &mut rays);
+            for ((first, ends), &member) in first.iter_mut().zip(offsets.windows(2)).zip(members) {
+                let own = entries.split_off_mut(..ends[1] - ends[0]).unwrap_or_default();
+                *first = trace_row(world, subset, rows, subset.slots[member as usize], source, own, seed, &mut rays);
             }
             work.count(rays);
             Ok(())
         })?;
-        Ok(Exchange { rows: Arc::clone(rows), samples, entries, first })
+        Ok(Exchange { rows: Arc::clone(rows), offsets, entries, first })
     }
 
     /// Bytes that it holds.
     pub(crate) fn memory_bytes(&self) -> usize {
-        self.entries.len() * size_of::<Entry>() + self.first.len() * size_of::<V>()
+        size_of_val(self.entries.as_slice()) + size_of_val(self.offsets.as_slice()) + self.first.len() * size_of::<V>()
     }
 
     /// T̂ x.
     fn apply(&self, x: &[V]) -> Vec<V> {
-        let of_row = |entries: &[Entry]| -> V {
-            let met = entries.iter().filter(|e| e.row != NONE);
-            met.map(|e| x[e.row as usize] * e.weight).sum::<V>() / self.samples as f32
+        self.mean_of_rows(|e| (e.row != NONE).then(|| x[e.row as usize] * e.weight))
+    }
+
+    /// Per row: the mean over its paths of what their ends bring.
+    fn mean_of_rows(&self, brought: impl Fn(&Entry) -> Option<V> + Sync) -> Vec<V> {
+        let of_row = |ends: &[usize]| -> V {
+            let entries = &self.entries[ends[0]..ends[1]];
+            entries.iter().filter_map(&brought).sum::<V>() / entries.len() as f32
         };
-        self.entries.par_chunks(self.samples).with_min_len(256).map(of_row).collect()
+        self.offsets.par_windows(2).with_min_len(256).map(of_row).collect()
     }
 
     /// `X = u + T̂ X`, per row: all bounces of a source whose first gather is `u`.
@@ -129,11 +169,7 @@ impl<V: Value> Exchange<V> {
     /// slot: `Σ_{j ≥ 1} Tʲ r`. Its first bounce is gathered at full resolution: the solution, interpolated from its
     /// representatives, is off where there are none, in corners above all.
     pub(crate) fn settle(&self, residual: &[V]) -> Vec<V> {
-        let of_row = |entries: &[Entry]| -> V {
-            let met = entries.iter().filter(|e| e.element != NONE);
-            met.map(|e| residual[e.element as usize] * e.weight).sum::<V>() / self.samples as f32
-        };
-        let first: Vec<V> = self.entries.par_chunks(self.samples).with_min_len(256).map(of_row).collect();
+        let first = self.mean_of_rows(|e| (e.element != NONE).then(|| residual[e.element as usize] * e.weight));
         self.all_bounces(&first)
     }
 

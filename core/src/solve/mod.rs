@@ -5,5 +5,5 @@ mod exchange;
 mod gmres;
 mod subset;
 
-pub(crate) use exchange::{Exchange, Rows};
+pub(crate) use exchange::{Exchange, Paths, Rows};
 pub(crate) use subset::Subset;

@@ -116,6 +116,21 @@ impl Subset {
         cells
     }
 
+    /// m² of the elements that are interpolated from each representative, by weight.
+    pub(crate) fn areas(&self, world: &World) -> Vec<f32> {
+        let mut areas = vec![0.0; self.slots.len()];
+        for side in &self.sides {
+            let elements = world.areas()[side.first_slot as usize..].iter().zip(0..side.placed.surface.positions.len());
+            for (area, element) in elements {
+                side.entries_of(element as u32).for_each(|(i, weight)| areas[i] += area * weight);
+            }
+            side.alone
+                .iter()
+                .for_each(|&(element, i)| areas[i as usize] += world.areas()[(side.first_slot + element) as usize]);
+        }
+        areas
+    }
+
     /// Bytes of its own; surfaces and their weights belong to the world.
     pub(crate) fn memory_bytes(&self) -> usize {
         let side = |side: &Side| size_of_val(side.index.as_slice()) + size_of_val(side.alone.as_slice());

@@ -23,6 +23,9 @@ const WORTHWHILE: f64 = 0.5;
 /// The same where an update is concerned: changes of furniture have .92 to .98, and there it does not pay.
 const EXTREME: f64 = 0.98;
 
+/// Places per task, and per partial sum: fixed, so that sums do not depend on the number of threads.
+const CHUNK: usize = 4096;
+
 /// Where to aim.
 #[derive(Clone, Debug)]
 pub(crate) struct Spots {
@@ -66,15 +69,15 @@ impl Spots {
     /// The spots of light sent out; `radiance(side)` tells its amount. None where there are none worth it.
     pub(crate) fn new(world: &World, radiance: impl Fn(&Target) -> f32 + Sync) -> Option<Spots> {
         let sides = sides(world, radiance);
-        let amounts = || sides.iter().map(|side| (side.area, side.radiance));
-        (share_of_bright(amounts) > WORTHWHILE).then_some(())?;
-        let limit = limit(amounts());
+        let side = |k: usize| (sides[k].area, sides[k].radiance);
+        (share_of_bright(sides.len(), side) > WORTHWHILE).then_some(())?;
+        let limit = limit(sides.len(), side);
         let is_bright = |side: &&Side| side.radiance > limit;
         let spots: Vec<&Side> = sides.iter().filter(is_bright).collect();
-        let choice = Discrete::new(spots.iter().map(|s| s.area * s.radiance))?;
+        let choice = Discrete::new(spots.iter().map(|s| f64::from(s.area * s.radiance)))?;
         let mut densities = vec![[0.0; 2]; world.geometry.triangles.len()];
         for (k, s) in spots.iter().enumerate() {
-            densities[s.target.triangle as usize][usize::from(s.target.back)] = choice.pdf(k) / s.area as f32;
+            densities[s.target.triangle as usize][usize::from(s.target.back)] = choice.pdf(k) / s.area;
         }
         Some(Spots { targets: spots.iter().map(|s| s.target).collect(), choice, densities })
     }
@@ -83,10 +86,9 @@ impl Spots {
     /// is in few places.
     pub(crate) fn of_map<V: Value>(world: &World, light: &[V], weights: &[Vec3]) -> Option<Spots> {
         let amount = |light: V| light.weighted(weights).abs();
-        let amounts: Vec<f32> = light.par_iter().with_min_len(4096).map(|l| amount(*l).element_sum()).collect();
-        let elements =
-            || world.areas().iter().zip(&amounts).map(|(area, amount)| (f64::from(*area), f64::from(*amount)));
-        (share_of_bright(elements) > EXTREME).then_some(())?;
+        let amounts: Vec<f32> = light.par_iter().with_min_len(CHUNK).map(|l| amount(*l).element_sum()).collect();
+        let element = |slot: usize| (world.areas()[slot], amounts[slot]);
+        (share_of_bright(amounts.len(), element) > EXTREME).then_some(())?;
         Spots::new(world, |target| {
             let mean = target.elements.map(|e| light[e as usize]).into_iter().sum::<V>() / 3.0;
             (amount(mean) * target.albedo).element_sum()
@@ -123,26 +125,40 @@ impl Spots {
     }
 }
 
-/// Amount from which on a place is bright, of (area, amount) of all.
-fn limit(amounts: impl Iterator<Item = (f64, f64)>) -> f64 {
-    let (area, power) = amounts.fold((0.0, 0.0), |(area, power), (a, x)| (area + a, power + a * x));
-    BRIGHT * power / area
+/// Amount from which on a place is bright, of `count` places of some area and amount.
+fn limit(count: usize, place: impl Fn(usize) -> (f32, f32) + Sync) -> f32 {
+    let [area, power] = sums(count, |k| {
+        let (area, amount) = place(k);
+        [area, area * amount].map(f64::from)
+    });
+    (BRIGHT * power / area) as f32
 }
 
 /// Part of Σ A x² that bright places have.
-fn share_of_bright<I: Iterator<Item = (f64, f64)>>(amounts: impl Fn() -> I) -> f64 {
-    let limit = limit(amounts());
-    let (all, bright) = amounts()
-        .fold((0.0, 0.0), |(all, bright), (a, x)| (all + a * x * x, bright + if x > limit { a * x * x } else { 0.0 }));
+fn share_of_bright(count: usize, place: impl Fn(usize) -> (f32, f32) + Sync) -> f64 {
+    let limit = limit(count, &place);
+    let [all, bright] = sums(count, |k| {
+        let (area, amount) = place(k);
+        let square = f64::from(area) * f64::from(amount) * f64::from(amount);
+        [square, if amount > limit { square } else { 0.0 }]
+    });
     bright / all
+}
+
+/// Two sums over many places, the same on any number of threads.
+fn sums(count: usize, of: impl Fn(usize) -> [f64; 2] + Sync) -> [f64; 2] {
+    let add = |a: [f64; 2], b: [f64; 2]| [a[0] + b[0], a[1] + b[1]];
+    let partial = |c: usize| (c * CHUNK..count.min((c + 1) * CHUNK)).map(&of).fold([0.0; 2], add);
+    let partials: Vec<[f64; 2]> = (0..count.div_ceil(CHUNK)).into_par_iter().map(partial).collect();
+    partials.into_iter().fold([0.0; 2], add)
 }
 
 /// What one side of a triangle sends out.
 struct Side {
     target: Target,
     /// m².
-    area: f64,
-    radiance: f64,
+    area: f32,
+    radiance: f32,
 }
 
 fn sides(world: &World, radiance: impl Fn(&Target) -> f32 + Sync) -> Vec<Side> {
@@ -153,11 +169,11 @@ fn sides(world: &World, radiance: impl Fn(&Target) -> f32 + Sync) -> Vec<Side> {
             let record = &world.geometry.triangles[triangle as usize];
             let part = &world.parts[record.part() as usize];
             let corners @ [a, b, c] = corners.map(|i| vertices[i as usize]);
-            let area = f64::from(0.5 * (b - a).cross(c - a).length());
+            let area = 0.5 * (b - a).cross(c - a).length();
             let mut add = |back: bool, offset: u32| {
                 let elements = record.elements.map(|e| e + offset);
                 let target = Target { triangle, back, corners, elements, albedo: part.albedo };
-                sides.push(Side { area, radiance: f64::from(radiance(&target)), target });
+                sides.push(Side { area, radiance: radiance(&target), target });
             };
             if area > 0.0 {
                 add(false, 0);

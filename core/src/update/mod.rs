@@ -8,6 +8,7 @@
 //! - everything else is transport in the new scene: `X = Σ_k u_k`, `u_1 = G_B[ρ (S + ΔD) + Δρ M_A]`,
 //!   `u_{k+1} = G_B[ρ u_k]`, a contraction whatever the edit.
 
+mod allotment;
 mod direct;
 mod extent;
 mod look_first;

@@ -8,7 +8,7 @@ use super::updater::Updater;
 use crate::job::Canceled;
 use crate::random::subseed;
 use crate::rounds::Round;
-use crate::solve::{Exchange, Rows};
+use crate::solve::{Exchange, Paths, Rows};
 use crate::transport::direct::direct_of;
 use crate::transport::{Effort, Field, Rough, Spots, Value, gather};
 
@@ -67,8 +67,15 @@ impl<V: Value> Updater<'_, V> {
         let rough = Rough::default();
         let light = Field { total: field, direct: field, rough: &rough };
         let seed = subseed(seed, 0x5e1f);
-        let exchange =
-            Exchange::trace(world, &self.subset, &rows, &light.source(world, spots), SELF_SAMPLES, seed, self.work)?;
+        let exchange = Exchange::trace(
+            world,
+            &self.subset,
+            &rows,
+            &light.source(world, spots),
+            Paths::Each(SELF_SAMPLES),
+            seed,
+            self.work,
+        )?;
         let values = exchange.to_representatives(&self.subset, &exchange.all_bounces(&exchange.first));
         let spread = self.subset.interpolate(&values);
         for (&slot, d) in slots.iter().zip(own_direct) {

@@ -5,12 +5,14 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::allotment::{ALBEDO, Allotment};
 use super::updater::{CHUNK, Parts, Updater};
 use crate::job::{Canceled, Pass};
 use crate::random::{Pcg32, subseed};
 use crate::rounds::Round;
-use crate::solve::{Exchange, Rows};
+use crate::solve::{Exchange, Paths, Rows};
 use crate::transport::{Effort, Radiance, Source, Spots, Surfel, Value, gather};
+use crate::world::World;
 
 /// Samples of the propagation per representative and round: at least, at most.
 const PROPAGATION_SAMPLES: (u32, u32) = (8, 64);
@@ -21,6 +23,12 @@ const LEAST_WEIGHT: f64 = 0.25;
 /// From so many samples on X is gathered element by element near the edit: before, noise hides what interpolation gets wrong.
 const FINE_FROM: u32 = 8;
 
+/// Where paths look for a change, as it was estimated first: whatever it says, what they find is unbiased.
+pub(super) struct Aims {
+    spots: Option<Spots>,
+    allotment: Allotment,
+}
+
 /// Light that has changed, as it is looked up.
 struct Change<'a, V> {
     /// ΔD + S, as elements see it that have an old value.
@@ -30,19 +38,22 @@ struct Change<'a, V> {
     is_new: Vec<bool>,
     /// Change of albedo per part, and the light that it reflects; none where nothing was repainted.
     repainted: Option<(&'a [Vec3], &'a [V])>,
-    spots: Option<Spots>,
 }
 
 impl<V: Value> Change<'_, V> {
     /// Reflected change; with that of some bounces, where they are known.
-    fn source<'s>(&'s self, bounces: Option<&'s [V]>) -> Source<'s, impl Radiance<V> + 's, V> {
+    fn source<'s>(
+        &'s self,
+        bounces: Option<&'s [V]>,
+        spots: Option<&'s Spots>,
+    ) -> Source<'s, impl Radiance<V> + 's, V> {
         Source {
             radiance: move |slot: u32, s: &Surfel, near: bool, _: &mut Pcg32, _: &mut u64| {
                 self.radiance(bounces, slot, s, near)
             },
             looked_up: &self.seen_by_old,
             sky: V::default(),
-            spots: self.spots.as_ref(),
+            spots,
         }
     }
 
@@ -66,6 +77,28 @@ impl<V: Value> Change<'_, V> {
     }
 }
 
+impl<V: Value> Change<'_, V> {
+    /// How much the light has changed that leaves an element, over a usual albedo, mean over RGB.
+    fn amounts(&self, world: &World, weights: &[Vec3]) -> Vec<f32> {
+        let amount = |light: Vec3| light.abs().element_sum() / 3.0;
+        let of_light = |light: &V| amount(light.weighted(weights));
+        let mut amounts: Vec<f32> = self.seen_by_old.par_iter().with_min_len(CHUNK).map(of_light).collect();
+        let Some((repaint, light)) = self.repainted else { return amounts };
+        for slot in world.placed.iter().flat_map(|p| p.placement.triangles.clone()) {
+            let triangle = &world.geometry.triangles[slot as usize];
+            let (change, part) = (repaint[triangle.part() as usize], &world.parts[triangle.part() as usize]);
+            if change == Vec3::ZERO {
+                continue;
+            }
+            for slot in [0, part.back_offset].into_iter().flat_map(|side| triangle.elements.map(|e| e + side)) {
+                let reflected = amount(light[slot as usize].weighted(weights) * change) / ALBEDO;
+                amounts[slot as usize] = amounts[slot as usize].max(reflected);
+            }
+        }
+        amounts
+    }
+}
+
 impl<V: Value> Updater<'_, V> {
     /// X = Σ_k u_k. Where X is `known` roughly, only what some rows gather of it is computed anew, and the answer is of use
     /// for them only. Elements `near` the edit gather it themselves: interpolation is off in corners, where there are no
@@ -82,12 +115,18 @@ impl<V: Value> Updater<'_, V> {
         (round.begin)(Pass::Propagation, 0.8);
         let change = self.change(parts);
         let samples = (round.samples * 2).clamp(PROPAGATION_SAMPLES.0, PROPAGATION_SAMPLES.1);
-        let samples = (f64::from(samples) * self.weight_of(&change.seen_by_old)).ceil() as u32;
+        let amounts = change.amounts(world, self.stage.weights);
+        let samples = (f64::from(samples) * self.weight_of(&amounts)).ceil() as u32;
+        let Aims { spots, allotment } = self.aims.get_or_init(|| Aims {
+            spots: Spots::of_map(world, &change.seen_by_old, self.stage.weights),
+            allotment: Allotment::new(world, &self.subset, &amounts),
+        });
         let seed = subseed(round.seed, 0x9409);
         let (rows, bounces) = known.unzip();
         let rows = rows.unwrap_or(&self.rows);
-        let source = change.source(bounces);
-        let exchange = Exchange::trace(world, &self.subset, rows, &source, samples, seed, self.work)?;
+        let source = change.source(bounces, spots.as_ref());
+        let paths = allotment.paths(rows, samples);
+        let exchange = Exchange::trace(world, &self.subset, rows, &source, Paths::OfRows(&paths), seed, self.work)?;
         let found = match known {
             Some(_) => exchange.to_representatives(&self.subset, &exchange.first),
             None => exchange.to_representatives(&self.subset, &exchange.all_bounces(&exchange.first)),
@@ -98,7 +137,7 @@ impl<V: Value> Updater<'_, V> {
             return Ok(field);
         }
         let found = {
-            let source = change.source(Some(bounces.unwrap_or(&field)));
+            let source = change.source(Some(bounces.unwrap_or(&field)), spots.as_ref());
             let seed = subseed(round.seed, 0x9410);
             gather(world, &source, near, round.samples, &Effort::default(), seed, self.work)?
         };
@@ -122,14 +161,12 @@ impl<V: Value> Updater<'_, V> {
         self.world.validity.fill(&mut seen_by_old);
         self.world.validity.fill(&mut seen_by_new);
         let repainted = self.repaint.iter().any(|r| *r != Vec3::ZERO).then_some((&*self.repaint, &*self.old_total));
-        let spots = Spots::of_map(self.world, &seen_by_old, self.stage.weights);
-        Change { seen_by_old, seen_by_new, is_new: self.new_flags(), repainted, spots }
+        Change { seen_by_old, seen_by_new, is_new: self.new_flags(), repainted }
     }
 
     /// How well a change has to be known beside the noise that the old map has anyway, up to 1.
-    fn weight_of(&self, change: &[V]) -> f64 {
-        let square = |v: &V| v.weighted(self.stage.weights).length_squared() / 3.0;
-        let squares: Vec<f32> = change.par_iter().with_min_len(CHUNK).map(square).collect();
+    fn weight_of(&self, amounts: &[f32]) -> f64 {
+        let squares: Vec<f32> = amounts.par_iter().with_min_len(CHUNK).map(|amount| amount * amount).collect();
         let carried = self.mean(&self.old.variance);
         let ratio = if carried > 0.0 { self.mean(&squares) / carried } else { 1.0 };
         if ratio.is_finite() { ratio.clamp(LEAST_WEIGHT, 1.0) } else { 1.0 }

@@ -1,11 +1,13 @@
 //! One stage of an update: the change of some layers, round by round.
 
+use std::cell::OnceCell;
 use std::sync::Arc;
 
 use glam::Vec3;
 use rayon::prelude::*;
 
 use super::extent::Extent;
+use super::propagate::Aims;
 use super::{Stage, direct, source};
 use crate::accumulate::Accumulator;
 use crate::job::{Canceled, Pass};
@@ -76,6 +78,8 @@ pub(super) struct Updater<'a, V> {
     pub(super) rows: Arc<Rows>,
     pub(super) source: source::Source<'a>,
     direct: direct::DirectChange<'a>,
+    /// Of the bounces of the change.
+    pub(super) aims: OnceCell<Aims>,
     /// Change of albedo per part of the new world.
     pub(super) repaint: Vec<Vec3>,
 }
@@ -107,6 +111,7 @@ impl<'a, V: Value> Updater<'a, V> {
             is_static,
             subset,
             direct: direct::DirectChange::new(transition),
+            aims: OnceCell::new(),
             repaint: transition.repaint(),
         }
     }
