@@ -1,5 +1,6 @@
 //! The elements at which smooth light is evaluated, over a whole world.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -27,6 +28,8 @@ struct Side {
     placed: Arc<Placed>,
     first_slot: u32,
     back: bool,
+    /// Indices into `Subset::slots`.
+    members: Range<usize>,
     /// Per representative of the object: index into `Subset::slots`, or `NONE` where it is not computed.
     index: Vec<u32>,
     /// Entries of the object's weights whose representative the element does not see: a wall stands between.
@@ -54,6 +57,7 @@ impl Subset {
 
     fn add_side(&mut self, world: &World, placed: &Arc<Placed>, first_slot: u32, back: bool) {
         let coarse = &placed.coarse;
+        let first = self.slots.len();
         let hidden = world.sight.get(&placed.key).cloned().unwrap_or_default();
         let computed = |element: u32| {
             let slot = (first_slot + element) as usize;
@@ -82,7 +86,8 @@ impl Subset {
                 }
             }
         }
-        self.sides.push(Side { placed: Arc::clone(placed), first_slot, back, index, hidden, alone });
+        let members = first..self.slots.len();
+        self.sides.push(Side { placed: Arc::clone(placed), first_slot, back, members, index, hidden, alone });
     }
 
     /// Per slot: whether it is a representative that some of `wanted` are interpolated from.
@@ -118,17 +123,17 @@ impl Subset {
 
     /// m² of the elements that are interpolated from each representative, by weight.
     pub(crate) fn areas(&self, world: &World) -> Vec<f32> {
-        let mut areas = vec![0.0; self.slots.len()];
-        for side in &self.sides {
-            let elements = world.areas()[side.first_slot as usize..].iter().zip(0..side.placed.surface.positions.len());
-            for (area, element) in elements {
-                side.entries_of(element as u32).for_each(|(i, weight)| areas[i] += area * weight);
+        let of_side = |side: &Side| {
+            let first = side.members.start;
+            let mut areas = vec![0.0; side.members.len()];
+            let elements = &world.areas()[side.first_slot as usize..][..side.placed.surface.positions.len()];
+            for (area, element) in elements.iter().zip(0..) {
+                side.entries_of(element).for_each(|(i, weight)| areas[i - first] += area * weight);
             }
-            side.alone
-                .iter()
-                .for_each(|&(element, i)| areas[i as usize] += world.areas()[(side.first_slot + element) as usize]);
-        }
-        areas
+            side.alone.iter().for_each(|&(element, i)| areas[i as usize - first] += elements[element as usize]);
+            areas
+        };
+        self.sides.par_iter().flat_map_iter(of_side).collect()
     }
 
     /// Bytes of its own; surfaces and their weights belong to the world.

@@ -40,13 +40,14 @@ pub(crate) struct Landed {
 }
 
 impl<V: Value, F: Radiance<V>> Source<'_, F, V> {
-    /// How many directions are to be aimed at spots along with so many that are drawn by the cosine.
+    /// How many directions are to be aimed at spots along with so many that are drawn by the cosine. Beside a single one
+    /// they cost more than they tell.
     pub(crate) fn aims(&self, samples: u32) -> u32 {
-        if self.spots.is_some() { samples.div_ceil(COSINES_PER_AIM) } else { 0 }
+        if self.spots.is_some() && samples > 1 { samples.div_ceil(COSINES_PER_AIM) } else { 0 }
     }
 
     /// Adds what arrives at a point of the element `receiver` from a direction drawn by the cosine, where `ratio` times as
-    /// many are [`Source::aimed`], to `light`: all but that of the surface where the path lands, which
+    /// many are [`Source::aimed`] (none at all behind near surfaces either, if it is 0), to `light`: all but that of the surface where the path lands, which
     /// [`Source::add_landed`] adds. Answers how the path ended, too.
     #[inline]
     #[expect(clippy::too_many_arguments, reason = "the inner loop of all gathers")]
@@ -71,7 +72,7 @@ impl<V: Value, F: Radiance<V>> Source<'_, F, V> {
             }
             *light += (self.radiance)(receiver, surfel, near, rng, rays) * (weight * share);
             receiver = surfel.nearest_element();
-            if self.spots.is_some() {
+            if ratio > 0.0 {
                 (from, ratio) = ((surfel.position + surfel.normal * world.epsilon, surfel.normal), 1.0);
                 *light += self.aimed(world, receiver, from, rng.next_2d(), ratio, rng, rays) * (weight * surfel.albedo);
             }

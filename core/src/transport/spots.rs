@@ -4,7 +4,7 @@
 //! its spots may be dark ones.
 
 use std::f32::consts::PI;
-use std::sync::Arc;
+use std::ops::Range;
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -68,13 +68,19 @@ pub(crate) type From = (Vec3, Vec3);
 impl Spots {
     /// The spots of light sent out; `radiance(side)` tells its amount. None where there are none worth it.
     pub(crate) fn new(world: &World, radiance: impl Fn(&Target) -> f32 + Sync) -> Option<Spots> {
-        let sides = sides(world, radiance);
-        let side = |k: usize| (sides[k].area, sides[k].radiance);
-        (share_of_bright(sides.len(), side) > WORTHWHILE).then_some(())?;
-        let limit = limit(sides.len(), side);
-        let is_bright = |side: &&Side| side.radiance > limit;
-        let spots: Vec<&Side> = sides.iter().filter(is_bright).collect();
-        let choice = Discrete::new(spots.iter().map(|s| f64::from(s.area * s.radiance)))?;
+        let runs = runs(world);
+        let amounts_of = |run: &Run| sides(world, run).map(|(area, target)| (area, radiance(&target))).collect();
+        let amounts: Vec<Vec<(f32, f32)>> = runs.par_iter().map(amounts_of).collect();
+        let places = || amounts.par_iter().map(|run| run.iter().copied());
+        let limit = limit(places());
+        (share_of_bright(places(), limit) > WORTHWHILE).then_some(())?;
+        let bright = |(run, amounts): (_, &Vec<(f32, f32)>)| -> Vec<Spot> {
+            let all = sides(world, run).zip(amounts);
+            let spots = all.filter(|(_, (_, radiance))| *radiance > limit);
+            spots.map(|((area, target), (_, radiance))| Spot { target, area, power: area * radiance }).collect()
+        };
+        let spots: Vec<Spot> = runs.par_iter().zip(&amounts).flat_map_iter(bright).collect();
+        let choice = Discrete::new(spots.iter().map(|s| f64::from(s.power)))?;
         let mut densities = vec![[0.0; 2]; world.geometry.triangles.len()];
         for (k, s) in spots.iter().enumerate() {
             densities[s.target.triangle as usize][usize::from(s.target.back)] = choice.pdf(k) / s.area;
@@ -87,8 +93,11 @@ impl Spots {
     pub(crate) fn of_map<V: Value>(world: &World, light: &[V], weights: &[Vec3]) -> Option<Spots> {
         let amount = |light: V| light.weighted(weights).abs();
         let amounts: Vec<f32> = light.par_iter().with_min_len(CHUNK).map(|l| amount(*l).element_sum()).collect();
-        let element = |slot: usize| (world.areas()[slot], amounts[slot]);
-        (share_of_bright(amounts.len(), element) > EXTREME).then_some(())?;
+        let places = || {
+            let chunks = world.areas().par_chunks(CHUNK).zip(amounts.par_chunks(CHUNK));
+            chunks.map(|(areas, amounts)| areas.iter().copied().zip(amounts.iter().copied()))
+        };
+        (share_of_bright(places(), limit(places())) > EXTREME).then_some(())?;
         Spots::new(world, |target| {
             let mean = target.elements.map(|e| light[e as usize]).into_iter().sum::<V>() / 3.0;
             (amount(mean) * target.albedo).element_sum()
@@ -125,66 +134,73 @@ impl Spots {
     }
 }
 
-/// Amount from which on a place is bright, of `count` places of some area and amount.
-fn limit(count: usize, place: impl Fn(usize) -> (f32, f32) + Sync) -> f32 {
-    let [area, power] = sums(count, |k| {
-        let (area, amount) = place(k);
-        [area, area * amount].map(f64::from)
-    });
+/// Amount from which on a place is bright, of chunks of places (area, amount).
+fn limit<I: Iterator<Item = (f32, f32)>>(places: impl IndexedParallelIterator<Item = I>) -> f32 {
+    let [area, power] = sums(places, |area, amount| [area, area * amount].map(f64::from));
     (BRIGHT * power / area) as f32
 }
 
-/// Part of Σ A x² that bright places have.
-fn share_of_bright(count: usize, place: impl Fn(usize) -> (f32, f32) + Sync) -> f64 {
-    let limit = limit(count, &place);
-    let [all, bright] = sums(count, |k| {
-        let (area, amount) = place(k);
+/// Part of Σ A x² that places above `limit` have.
+fn share_of_bright<I: Iterator<Item = (f32, f32)>>(places: impl IndexedParallelIterator<Item = I>, limit: f32) -> f64 {
+    let [all, bright] = sums(places, |area, amount| {
         let square = f64::from(area) * f64::from(amount) * f64::from(amount);
         [square, if amount > limit { square } else { 0.0 }]
     });
     bright / all
 }
 
-/// Two sums over many places, the same on any number of threads.
-fn sums(count: usize, of: impl Fn(usize) -> [f64; 2] + Sync) -> [f64; 2] {
+/// Two sums over chunks of places, the same on any number of threads.
+fn sums<I: Iterator<Item = (f32, f32)>>(
+    places: impl IndexedParallelIterator<Item = I>,
+    of: impl Fn(f32, f32) -> [f64; 2] + Sync,
+) -> [f64; 2] {
     let add = |a: [f64; 2], b: [f64; 2]| [a[0] + b[0], a[1] + b[1]];
-    let partial = |c: usize| (c * CHUNK..count.min((c + 1) * CHUNK)).map(&of).fold([0.0; 2], add);
-    let partials: Vec<[f64; 2]> = (0..count.div_ceil(CHUNK)).into_par_iter().map(partial).collect();
+    let partials: Vec<[f64; 2]> =
+        places.map(|chunk| chunk.map(|(area, amount)| of(area, amount)).fold([0.0; 2], add)).collect();
     partials.into_iter().fold([0.0; 2], add)
 }
 
-/// What one side of a triangle sends out.
-struct Side {
+/// A bright side.
+struct Spot {
     target: Target,
     /// m².
     area: f32,
-    radiance: f32,
+    /// Radiance × area.
+    power: f32,
 }
 
-fn sides(world: &World, radiance: impl Fn(&Target) -> f32 + Sync) -> Vec<Side> {
-    let of_object = |placed: &Arc<Placed>| {
-        let vertices = &placed.surface.vertices;
-        let mut sides = Vec::new();
-        for (triangle, corners) in placed.placement.triangles.clone().zip(&placed.surface.triangles) {
-            let record = &world.geometry.triangles[triangle as usize];
-            let part = &world.parts[record.part() as usize];
-            let corners @ [a, b, c] = corners.map(|i| vertices[i as usize]);
-            let area = 0.5 * (b - a).cross(c - a).length();
-            let mut add = |back: bool, offset: u32| {
-                let elements = record.elements.map(|e| e + offset);
-                let target = Target { triangle, back, corners, elements, albedo: part.albedo };
-                sides.push(Side { area, radiance: radiance(&target), target });
-            };
-            if area > 0.0 {
-                add(false, 0);
-            }
-            if area > 0.0 && part.back_offset > 0 {
-                add(true, part.back_offset);
-            }
-        }
-        sides
+/// Some triangles of an object.
+type Run<'a> = (&'a Placed, Range<usize>);
+
+/// All triangles of a world.
+fn runs(world: &World) -> Vec<Run<'_>> {
+    let of_object = |placed| {
+        let placed: &Placed = placed;
+        let count = placed.surface.triangles.len();
+        (0..count).step_by(CHUNK).map(move |first| (placed, first..count.min(first + CHUNK)))
     };
-    world.placed.par_iter().flat_map_iter(of_object).collect()
+    world.placed.iter().map(|placed| &**placed).flat_map(of_object).collect()
+}
+
+/// All sides that have elements, with their areas (m²).
+fn sides<'a>(world: &'a World, (placed, run): &Run<'a>) -> impl Iterator<Item = (f32, Target)> + use<'a> {
+    let vertices = &placed.surface.vertices;
+    let first = placed.placement.triangles.start;
+    let triangles = placed.surface.triangles[run.clone()].iter().zip(run.clone());
+    triangles.flat_map(move |(corners, index)| {
+        let triangle = first + index as u32;
+        let record = &world.geometry.triangles[triangle as usize];
+        let part = &world.parts[record.part() as usize];
+        let corners @ [a, b, c] = corners.map(|i| vertices[i as usize]);
+        let area = 0.5 * (b - a).cross(c - a).length();
+        let side = move |back: bool| {
+            let offset = if back { part.back_offset } else { 0 };
+            let elements = record.elements.map(|e| e + offset);
+            (area, Target { triangle, back, corners, elements, albedo: part.albedo })
+        };
+        let front = (area > 0.0).then(|| side(false));
+        front.into_iter().chain((area > 0.0 && part.back_offset > 0).then(|| side(true)))
+    })
 }
 
 #[cfg(test)]
