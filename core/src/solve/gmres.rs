@@ -3,7 +3,7 @@
 //! T is a contraction, so plain iteration would converge too, but as the largest albedo to the power k: hundreds of
 //! steps in bright rooms. GMRES finds the few slow modes of a room at once.
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::transport::{Value, Wide};
@@ -14,8 +14,14 @@ const RESTART: usize = 24;
 /// Restarts at most.
 const MAX_RESTARTS: usize = 8;
 
-/// Elements per partial sum: fixed, so that sums do not depend on the number of threads.
-const CHUNK: usize = 4096;
+/// Bytes per task and partial sum: fixed, so that sums do not depend on the number of threads, and the less elements the
+/// more layers they have.
+const CHUNK_BYTES: usize = 4096 * size_of::<Vec3>();
+
+/// Elements per task and partial sum.
+const fn chunk<V>() -> usize {
+    CHUNK_BYTES / size_of::<V>()
+}
 
 /// Solves `x − T x = b` from `x = 0` until the residual is at most `tolerance` of `b` in every layer and channel.
 pub(super) fn solve<V: Value>(apply: impl Fn(&[V]) -> Vec<V>, b: &[V], tolerance: f64) -> Vec<V> {
@@ -112,7 +118,7 @@ fn select_one(length: DVec3, c: DVec3) -> DVec3 {
 fn dot<V: Value>(a: &[V], b: &[V]) -> V::Wide {
     let zero = V::Wide::splat(DVec3::ZERO);
     let partial = |(a, b): (&[V], &[V])| a.iter().zip(b).fold(zero, |sum, (a, b)| sum.plus(a.product(*b)));
-    let sums: Vec<V::Wide> = a.par_chunks(CHUNK).zip(b.par_chunks(CHUNK)).map(partial).collect();
+    let sums: Vec<V::Wide> = a.par_chunks(chunk::<V>()).zip(b.par_chunks(chunk::<V>())).map(partial).collect();
     sums.into_iter().fold(zero, Wide::plus)
 }
 
@@ -122,18 +128,16 @@ fn norm<V: Value>(a: &[V]) -> V::Wide {
 
 fn scaled<V: Value>(a: &[V], by: V::Wide) -> Vec<V> {
     let by = V::narrow(by);
-    a.par_iter().with_min_len(CHUNK).map(|v| v.times(by)).collect()
+    a.par_iter().with_min_len(chunk::<V>()).map(|v| v.times(by)).collect()
 }
 
 fn axpy<V: Value>(y: &mut [V], a: V::Wide, x: &[V]) {
     let a = V::narrow(a);
-    y.par_iter_mut().zip(x).with_min_len(CHUNK).for_each(|(y, x)| *y += x.times(a));
+    y.par_iter_mut().zip(x).with_min_len(chunk::<V>()).for_each(|(y, x)| *y += x.times(a));
 }
 
 #[cfg(test)]
 mod tests {
-    use glam::Vec3;
-
     use super::*;
     use crate::random::Pcg32;
 
