@@ -198,7 +198,8 @@ fn check_case(case: &Value) {
     let rebake = &runs[3];
     let (rmse, error) = (number(rebake, "rmse"), number(rebake, "rmse_error"));
     assert!(rmse + 3.0 * error < untouched, "{name}: {rmse} ± {error} against {untouched} without an update");
-    assert!(number(rebake, "gain") > 1.0, "{name}: worse than path tracing in the same time");
+    // No gain is told where the error drowns in the reference's noise.
+    assert!(rmse == 0.0 || number(rebake, "gain") > 1.0, "{name}: worse than path tracing in the same time");
 }
 
 #[test]
