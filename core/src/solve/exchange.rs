@@ -148,14 +148,15 @@ impl<V: Value> Exchange<V> {
 
     /// T̂ x.
     fn apply(&self, x: &[V]) -> Vec<V> {
-        self.mean_of_rows(|e| (e.row != NONE).then(|| x[e.row as usize] * e.weight))
+        self.mean_of_rows(|e| e.row, x)
     }
 
-    /// Per row: the mean over its paths of what their ends bring.
-    fn mean_of_rows(&self, brought: impl Fn(&Entry) -> Option<V> + Sync) -> Vec<V> {
+    /// Per row: the mean over its paths of `values` where they end, `NONE` being nowhere.
+    fn mean_of_rows(&self, end: impl Fn(&Entry) -> u32 + Sync, values: &[V]) -> Vec<V> {
         let of_row = |ends: &[usize]| -> V {
             let entries = &self.entries[ends[0]..ends[1]];
-            entries.iter().filter_map(&brought).sum::<V>() / entries.len() as f32
+            let met = entries.iter().filter(|e| end(e) != NONE);
+            met.map(|e| values[end(e) as usize] * e.weight).sum::<V>() / entries.len() as f32
         };
         self.offsets.par_windows(2).with_min_len(256).map(of_row).collect()
     }
@@ -169,7 +170,7 @@ impl<V: Value> Exchange<V> {
     /// slot: `Σ_{j ≥ 1} Tʲ r`. Its first bounce is gathered at full resolution: the solution, interpolated from its
     /// representatives, is off where there are none, in corners above all.
     pub(crate) fn settle(&self, residual: &[V]) -> Vec<V> {
-        let first = self.mean_of_rows(|e| (e.element != NONE).then(|| residual[e.element as usize] * e.weight));
+        let first = self.mean_of_rows(|e| e.element, residual);
         self.all_bounces(&first)
     }
 
