@@ -81,12 +81,12 @@ pub(crate) struct Stack<V> {
 }
 
 impl Stack<Vec3> {
-    /// All light of a map together.
-    pub(crate) fn of_whole(map: &LightMap) -> Stack<Vec3> {
+    /// All light of a map together, in the slots of the world after a transition.
+    pub(crate) fn of_whole(map: &LightMap, transition: &Transition) -> Stack<Vec3> {
         Stack {
-            direct: map.direct.clone(),
-            indirect: map.indirect.clone(),
-            variance: map.variance.clone(),
+            direct: transition.carry(&map.direct, 1),
+            indirect: transition.carry(&map.indirect, 1),
+            variance: transition.carry(&map.variance, 1),
             layer_variance: Vec::new(),
         }
     }

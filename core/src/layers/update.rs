@@ -211,9 +211,11 @@ fn run_change<V: Value>(
 ) -> Result<Option<Updated>, Canceled> {
     let around: Vec<Vec3> = (0..map.len()).into_par_iter().map(|slot| map.total(slot)).collect();
     let around = transition.carry(&around, 1);
+    let old = Stack::<V>::of_layers(&change.old, &map.variance, transition.before.slots());
     let stage = Stage {
         transition: change.transition,
-        old: Stack::<V>::of_layers(&change.old, &map.variance, transition.before.slots()),
+        before_total: old.total(),
+        old: old.carried_over(change.transition),
         weights: weights_within(&change.weights),
         around: Some(&around),
         finish: &|stack: Stack<V>| finish(stack.into_computed(&change.headers)),

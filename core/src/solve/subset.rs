@@ -41,53 +41,26 @@ struct Side {
 impl Subset {
     /// Collects the representatives of a world.
     pub(crate) fn new(world: &World) -> Subset {
-        let side_of_part = vec![0; world.parts.len()];
-        let mut subset = Subset { slots: Vec::new(), sides: Vec::new(), side_of_part, len: world.slots() };
+        let mut side_of_part = vec![0; world.parts.len()];
+        let mut ends = Vec::new();
         for (placed, object) in world.placed.iter().zip(&world.scene.objects) {
-            let front = placed.surface.positions.len() as u32;
             let parts = placed.parts_first as usize..placed.parts_first as usize + object.materials.len();
-            subset.side_of_part[parts].fill(subset.sides.len() as u32);
-            subset.add_side(world, placed, placed.placement.elements.start, false);
+            side_of_part[parts].fill(ends.len() as u32);
+            ends.push((placed, false));
             if placed.with_back {
-                subset.add_side(world, placed, placed.placement.elements.start + front, true);
+                ends.push((placed, true));
             }
+        }
+        let sides: Vec<(Side, Vec<u32>)> =
+            ends.into_par_iter().map(|(placed, back)| Side::new(world, placed, back)).collect();
+        let mut subset =
+            Subset { slots: Vec::new(), sides: Vec::with_capacity(sides.len()), side_of_part, len: world.slots() };
+        for (mut side, slots) in sides {
+            side.begin_at(subset.slots.len() as u32);
+            subset.slots.extend(slots);
+            subset.sides.push(side);
         }
         subset
-    }
-
-    fn add_side(&mut self, world: &World, placed: &Arc<Placed>, first_slot: u32, back: bool) {
-        let coarse = &placed.coarse;
-        let first = self.slots.len();
-        let hidden = world.sight.get(&placed.key).cloned().unwrap_or_default();
-        let computed = |element: u32| {
-            let slot = (first_slot + element) as usize;
-            world.geometry.areas[slot] > 0.0 && world.validity.is_valid(slot)
-        };
-        let mut index = Vec::with_capacity(coarse.representatives.len());
-        let mut complete = hidden.is_empty();
-        for &r in &coarse.representatives {
-            if computed(r) {
-                index.push(self.slots.len() as u32);
-                self.slots.push(first_slot + r);
-            } else {
-                index.push(NONE);
-                complete = false;
-            }
-        }
-        let mut alone = Vec::new();
-        if !complete {
-            for element in 0..placed.surface.positions.len() as u32 {
-                let range = coarse.offsets[element as usize] as usize..coarse.offsets[element as usize + 1] as usize;
-                let known =
-                    range.into_iter().any(|e| !hidden.contains(back, e) && index[coarse.entries[e].0 as usize] != NONE);
-                if !known && computed(element) {
-                    alone.push((element, self.slots.len() as u32));
-                    self.slots.push(first_slot + element);
-                }
-            }
-        }
-        let members = first..self.slots.len();
-        self.sides.push(Side { placed: Arc::clone(placed), first_slot, back, members, index, hidden, alone });
     }
 
     /// Per slot: whether it is a representative that some of `wanted` are interpolated from.
@@ -168,6 +141,51 @@ impl Subset {
 }
 
 impl Side {
+    /// One side of an object and the slots of its representatives, whose indices begin at 0.
+    fn new(world: &World, placed: &Arc<Placed>, back: bool) -> (Side, Vec<u32>) {
+        let coarse = &placed.coarse;
+        let elements = placed.surface.positions.len() as u32;
+        let first_slot = placed.placement.elements.start + if back { elements } else { 0 };
+        let hidden = world.sight.get(&placed.key).cloned().unwrap_or_default();
+        let computed = |element: u32| {
+            let slot = (first_slot + element) as usize;
+            world.geometry.areas[slot] > 0.0 && world.validity.is_valid(slot)
+        };
+        let mut slots = Vec::with_capacity(coarse.representatives.len());
+        let mut index = Vec::with_capacity(coarse.representatives.len());
+        let mut complete = hidden.is_empty();
+        for &r in &coarse.representatives {
+            if computed(r) {
+                index.push(slots.len() as u32);
+                slots.push(first_slot + r);
+            } else {
+                index.push(NONE);
+                complete = false;
+            }
+        }
+        let mut alone = Vec::new();
+        if !complete {
+            let is_alone = |&element: &u32| {
+                let range = coarse.offsets[element as usize] as usize..coarse.offsets[element as usize + 1] as usize;
+                let known =
+                    range.into_iter().any(|e| !hidden.contains(back, e) && index[coarse.entries[e].0 as usize] != NONE);
+                !known && computed(element)
+            };
+            let all = (0..elements).into_par_iter().with_min_len(CHUNK);
+            alone = all.filter(is_alone).collect::<Vec<u32>>().into_iter().zip(slots.len() as u32..).collect();
+            slots.extend(alone.iter().map(|(element, _)| first_slot + element));
+        }
+        let members = 0..slots.len();
+        (Side { placed: Arc::clone(placed), first_slot, back, members, index, hidden, alone }, slots)
+    }
+
+    /// Moves its indices, which begin at 0.
+    fn begin_at(&mut self, first: u32) {
+        self.members = first as usize..first as usize + self.members.len();
+        self.index.iter_mut().filter(|index| **index != NONE).for_each(|index| *index += first);
+        self.alone.iter_mut().for_each(|(_, index)| *index += first);
+    }
+
     /// (index into `Subset::slots`, weight) of an element, heaviest first; the weights need not sum to 1.
     fn entries_of(&self, element: u32) -> impl Iterator<Item = (usize, f32)> {
         let coarse = &self.placed.coarse;

@@ -68,7 +68,7 @@ pub(crate) type From = (Vec3, Vec3);
 impl Spots {
     /// The spots of light sent out; `radiance(side)` tells its amount. None where there are none worth it.
     pub(crate) fn new(world: &World, radiance: impl Fn(&Target) -> f32 + Sync) -> Option<Spots> {
-        let runs = runs(world);
+        let runs = runs(world, |_| true);
         let amounts_of = |run: &Run| sides(world, run).map(|(area, target)| (area, radiance(&target))).collect();
         let amounts: Vec<Vec<(f32, f32)>> = runs.par_iter().map(amounts_of).collect();
         let places = || amounts.par_iter().map(|run| run.iter().copied());
@@ -79,13 +79,7 @@ impl Spots {
             let spots = all.filter(|(_, (_, radiance))| *radiance > limit);
             spots.map(|((area, target), (_, radiance))| Spot { target, area, power: area * radiance }).collect()
         };
-        let spots: Vec<Spot> = runs.par_iter().zip(&amounts).flat_map_iter(bright).collect();
-        let choice = Discrete::new(spots.iter().map(|s| f64::from(s.power)))?;
-        let mut densities = vec![[0.0; 2]; world.geometry.triangles.len()];
-        for (k, s) in spots.iter().enumerate() {
-            densities[s.target.triangle as usize][usize::from(s.target.back)] = choice.pdf(k) / s.area;
-        }
-        Some(Spots { targets: spots.iter().map(|s| s.target).collect(), choice, densities })
+        Spots::of(world, &runs.par_iter().zip(&amounts).flat_map_iter(bright).collect::<Vec<Spot>>())
     }
 
     /// The spots of a light map or of its change, irradiance / π per slot, by what each layer weighs: where nearly all of it
@@ -97,11 +91,30 @@ impl Spots {
             let chunks = world.areas().par_chunks(CHUNK).zip(amounts.par_chunks(CHUNK));
             chunks.map(|(areas, amounts)| areas.iter().copied().zip(amounts.iter().copied()))
         };
-        (share_of_bright(places(), limit(places())) > EXTREME).then_some(())?;
-        Spots::new(world, |target| {
-            let mean = target.elements.map(|e| light[e as usize]).into_iter().sum::<V>() / 3.0;
-            (amount(mean) * target.albedo).element_sum()
-        })
+        let limit = limit(places());
+        (share_of_bright(places(), limit) > EXTREME).then_some(())?;
+        // Most objects have no bright element, and of the others most triangles have none.
+        let runs = runs(world, |placed| amounts[placed.placement.element_indices()].iter().any(|a| *a > limit));
+        let bright = |run: &Run| -> Vec<Spot> {
+            let spot = |(area, target): (f32, Target)| {
+                let bright = target.elements.iter().any(|&e| amounts[e as usize] > limit);
+                let mean = bright.then(|| target.elements.map(|e| light[e as usize]).into_iter().sum::<V>() / 3.0);
+                let mean = amount(mean?);
+                let power = area * (mean * target.albedo).element_sum();
+                (mean.element_sum() > limit).then_some(Spot { target, area, power })
+            };
+            sides(world, run).filter_map(spot).collect()
+        };
+        Spots::of(world, &runs.par_iter().flat_map_iter(bright).collect::<Vec<Spot>>())
+    }
+
+    fn of(world: &World, spots: &[Spot]) -> Option<Spots> {
+        let choice = Discrete::new(spots.iter().map(|s| f64::from(s.power)))?;
+        let mut densities = vec![[0.0; 2]; world.geometry.triangles.len()];
+        for (k, s) in spots.iter().enumerate() {
+            densities[s.target.triangle as usize][usize::from(s.target.back)] = choice.pdf(k) / s.area;
+        }
+        Some(Spots { targets: spots.iter().map(|s| s.target).collect(), choice, densities })
     }
 
     /// A direction to a spot and the triangle to be met there; none where it is below a horizon.
@@ -172,14 +185,15 @@ struct Spot {
 /// Some triangles of an object.
 type Run<'a> = (&'a Placed, Range<usize>);
 
-/// All triangles of a world.
-fn runs(world: &World) -> Vec<Run<'_>> {
+/// All triangles of some objects.
+fn runs(world: &World, of: impl Fn(&Placed) -> bool + Sync) -> Vec<Run<'_>> {
     let of_object = |placed| {
         let placed: &Placed = placed;
         let count = placed.surface.triangles.len();
         (0..count).step_by(CHUNK).map(move |first| (placed, first..count.min(first + CHUNK)))
     };
-    world.placed.iter().map(|placed| &**placed).flat_map(of_object).collect()
+    let objects: Vec<&Placed> = world.placed.par_iter().map(|placed| &**placed).filter(|placed| of(placed)).collect();
+    objects.into_iter().flat_map(of_object).collect()
 }
 
 /// All sides that have elements, with their areas (m²).

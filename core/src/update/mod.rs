@@ -23,6 +23,7 @@ use std::cell::OnceCell;
 use std::sync::Arc;
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use self::updater::Updater;
 use crate::accumulate::Accumulator;
@@ -93,15 +94,18 @@ fn update_whole(
     work: &Work,
 ) -> Result<Option<Updated>, Canceled> {
     let finish = |stack: Stack<Vec3>| stack.into_map();
-    let stage = Stage { transition, old: Stack::of_whole(map), weights: &[Vec3::ONE], around: None, finish: &finish };
-    run_stage(stage, goal, work)
+    let before_total = (0..map.len()).into_par_iter().with_min_len(4096).map(|slot| map.total(slot)).collect();
+    let old = Stack::of_whole(map, transition);
+    run_stage(Stage { transition, before_total, old, weights: &[Vec3::ONE], around: None, finish: &finish }, goal, work)
 }
 
 /// An update of some layers together.
 pub(crate) struct Stage<'a, V> {
     /// Lights are those of the layers only, at reference strength.
     pub transition: &'a Transition,
-    /// Right for `transition.before`, in its slots.
+    /// All light that is right for `transition.before`, in its slots.
+    pub before_total: Vec<V>,
+    /// That light in the slots of the new world.
     pub old: Stack<V>,
     /// What each layer weighs in the whole.
     pub weights: &'a [Vec3],

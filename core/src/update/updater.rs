@@ -39,7 +39,7 @@ pub(super) struct Parts<V> {
 
 impl<V: Value> Parts<V> {
     pub(super) fn black(slots: usize) -> Parts<V> {
-        Parts { direct: vec![V::default(); slots], indirect: vec![V::default(); slots] }
+        Parts { direct: black(slots), indirect: black(slots) }
     }
 
     /// Black in some slots.
@@ -56,6 +56,11 @@ impl<V: Value> Parts<V> {
         indirect.par_iter_mut().zip(bounces).with_min_len(CHUNK).for_each(|(i, b)| *i += *b);
         (direct, indirect)
     }
+}
+
+/// No light, on all threads: the memory is fresh, and its first touch takes longer than the rest.
+fn black<V: Value>(slots: usize) -> Vec<V> {
+    (0..slots).into_par_iter().with_min_len(CHUNK).map(|_| V::default()).collect()
 }
 
 /// What all rounds of a stage share.
@@ -88,8 +93,8 @@ impl<'a, V: Value> Updater<'a, V> {
     pub(super) fn new(mut stage: Stage<'a, V>, work: &'a Work<'a>) -> Updater<'a, V> {
         let transition = stage.transition;
         let world = &transition.after;
-        let before_total = stage.old.total();
-        let mut old = std::mem::replace(&mut stage.old, Stack::black(0, 1)).carried_over(transition);
+        let before_total = std::mem::take(&mut stage.before_total);
+        let mut old = std::mem::replace(&mut stage.old, Stack::black(0, 1));
         let mut is_new = vec![false; world.slots()];
         transition.new_rows.iter().for_each(|&slot| is_new[slot as usize] = true);
         old.clear(&transition.new_rows);

@@ -9,7 +9,7 @@ use glam::{DMat4, Vec3};
 use super::build;
 use super::check::{check_kind, check_strength, check_transform, error, invalid, unknown};
 use super::motion::{is_rigid, move_light, transformed_light};
-use super::{Geometry, Part, Placed, Transition, Validity, World, WorldError, probe};
+use super::{Placed, Transition, Validity, World, WorldError, probe};
 use crate::bvh::{BuildQuality, Bvh, TriangleMask};
 use crate::edit::{Edit, EditError, EditErrorKind, name_matches};
 use crate::scene::{Light, LightKind, merge_as_object};
@@ -31,8 +31,6 @@ impl World {
 /// A world under construction.
 pub(super) struct Draft {
     pub(super) world: World,
-    geometry: Geometry,
-    parts: Vec<Part>,
     /// Objects of the old world whose geometry is there no more, as they were.
     gone: BTreeMap<u32, Arc<Placed>>,
     /// Keys of objects whose geometry is new.
@@ -43,14 +41,7 @@ pub(super) struct Draft {
 
 impl Draft {
     fn new(world: &World) -> Draft {
-        Draft {
-            geometry: (*world.geometry).clone(),
-            parts: (*world.parts).clone(),
-            world: world.clone(),
-            gone: BTreeMap::new(),
-            come: BTreeSet::new(),
-            touched: Vec::new(),
-        }
+        Draft { world: world.clone(), gone: BTreeMap::new(), come: BTreeSet::new(), touched: Vec::new() }
     }
 
     fn apply(&mut self, edit: &Edit) -> Result<(), EditError> {
@@ -164,7 +155,9 @@ impl Draft {
         build::check_size(present, world.spacing(), &world.options).map_err(|e| too_large(&e))?;
         let key = self.world.next_key;
         self.world.next_key += 1;
-        let placed = build::place(&mut self.geometry, &mut self.parts, &object, surface, coarse, key, false);
+        let geometry = Arc::make_mut(&mut self.world.geometry);
+        let parts = Arc::make_mut(&mut self.world.parts);
+        let placed = build::place(geometry, parts, &object, surface, coarse, key, false);
         self.touched.push(placed.surface.bounds());
         self.world.scene.objects.push(object);
         self.world.placed.push(Arc::new(placed));
@@ -179,7 +172,7 @@ impl Draft {
             .scene
             .lights
             .retain(|l| !matches!(&l.kind, LightKind::Emissive { object: o, .. } if *o == object.name));
-        self.geometry.clear(&placed.placement);
+        Arc::make_mut(&mut self.world.geometry).clear(&placed.placement);
         self.take_out(&placed);
     }
 
@@ -214,7 +207,7 @@ impl Draft {
         let to_scene = DMat4::from_translation(-self.world.scene.origin);
         let surface = Arc::new(old.surface.transformed(&(to_scene * step * to_scene.inverse())));
         let first = old.placement.elements.start as usize;
-        self.geometry.write_elements(&surface, first, old.with_back);
+        Arc::make_mut(&mut self.world.geometry).write_elements(&surface, first, old.with_back);
         self.take_out(&old);
         self.touched.push(surface.bounds());
         self.come.insert(old.key);
@@ -239,7 +232,8 @@ impl Draft {
         let first = self.world.placed[index].parts_first as usize;
         let object = &mut self.world.scene.objects[index];
         object.materials.iter_mut().for_each(|m| m.albedo = albedo);
-        self.parts[first..first + object.materials.len()].iter_mut().for_each(|p| p.albedo = albedo);
+        let parts = &mut Arc::make_mut(&mut self.world.parts)[first..first + object.materials.len()];
+        parts.iter_mut().for_each(|part| part.albedo = albedo);
         Ok(())
     }
 
@@ -250,9 +244,13 @@ impl Draft {
         // An object that came and went within the request leaves a trace in `touched` only, which is harmless.
         let changed = !self.gone.is_empty() || !self.come.is_empty();
         let common = self.world.trees.clone();
-        self.install(changed);
+        self.world.emitters = Arc::new(self.world.resolve_emitters());
         if changed {
+            self.build_small_trees();
             self.settle_new_objects()?;
+        } else {
+            // Slots that an object had while it was there.
+            self.world.geometry = Arc::clone(&before.geometry);
         }
         let Draft { mut world, gone, come, touched, .. } = self;
         let mut ranges = Vec::new();
@@ -284,17 +282,12 @@ impl Draft {
         })
     }
 
-    /// Moves the drafted arrays into the world.
-    fn install(&mut self, changed: bool) {
-        self.world.parts = Arc::new(self.parts.clone());
-        if changed {
-            self.world.geometry = Arc::new(std::mem::take(&mut self.geometry));
-            self.world.trees.generation += 1;
-            for placed in self.world.placed.iter().filter(|p| self.come.contains(&p.key)) {
-                self.world.trees.small.push((placed.key, build::small_tree(placed)));
-            }
+    /// Trees of what came.
+    fn build_small_trees(&mut self) {
+        self.world.trees.generation += 1;
+        for placed in self.world.placed.iter().filter(|p| self.come.contains(&p.key)) {
+            self.world.trees.small.push((placed.key, build::small_tree(placed)));
         }
-        self.world.emitters = Arc::new(self.world.resolve_emitters());
     }
 
     /// Backs and solidity of what came, now that it can be asked with rays.
@@ -360,16 +353,18 @@ fn merged_tree<'a>(objects: impl Iterator<Item = &'a Placed>) -> Option<Arc<Bvh>
     (!ids.is_empty()).then(|| Arc::new(Bvh::build(&corners, &ids, BuildQuality::Fast)))
 }
 
+/// Rows that get their first value: of objects that came, and what came out of a solid. Ascending.
 fn new_rows(before: &World, after: &World, ranges: &[Range<u32>]) -> Vec<u32> {
-    after
-        .computed_slots()
-        .into_iter()
-        .filter(|&i| {
-            ranges.iter().any(|r| r.contains(&i))
-                || (before.geometry.owners.get(i as usize) == Some(&after.geometry.owners[i as usize])
-                    && !before.validity.is_valid(i as usize))
-        })
-        .collect()
+    let is_computed = |slot: u32| after.geometry.areas[slot as usize] > 0.0 && after.validity.is_valid(slot as usize);
+    let is_of_new = |slot: u32| ranges.iter().any(|range| range.contains(&slot));
+    let came = ranges.iter().cloned().flatten();
+    let came_out = before.validity.invalid_of(&(0..u32::MAX)).iter().copied().filter(|&slot| {
+        let owners = [&before.geometry.owners, &after.geometry.owners].map(|owners| owners.get(slot as usize));
+        owners[0] == owners[1] && !is_of_new(slot)
+    });
+    let mut rows: Vec<u32> = came.chain(came_out).filter(|&slot| is_computed(slot)).collect();
+    rows.sort_unstable();
+    rows
 }
 
 fn too_large(error: &WorldError) -> EditError {

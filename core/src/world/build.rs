@@ -149,7 +149,8 @@ pub(super) fn big_tree<P: std::borrow::Borrow<Placed>>(geometry: &Geometry, plac
 }
 
 pub(super) fn epsilon_of(geometry: &Geometry) -> f32 {
-    let largest = geometry.positions.iter().map(|p| p.abs().max_element()).fold(0.0, f32::max);
+    let sizes = geometry.positions.par_iter().with_min_len(4096).map(|p| p.abs().max_element());
+    let largest = sizes.reduce(|| 0.0, f32::max);
     EPSILON * largest.max(f32::MIN_POSITIVE * 1e10)
 }
 
@@ -179,7 +180,8 @@ fn give_backs(world: &mut World) -> Result<(), WorldError> {
 
 impl World {
     pub(super) fn resolve_emitters(&self) -> Emitters {
-        let radius = self.geometry.positions.iter().map(|p| p.length()).fold(0.0, f32::max);
+        let distances2 = self.geometry.positions.par_iter().with_min_len(4096).map(|p| p.length_squared());
+        let radius = distances2.reduce(|| 0.0, f32::max).sqrt();
         Emitters::new(&self.scene.lights, self.scene.origin, radius, |name, material| {
             let index = self.scene.objects.iter().position(|o| o.name == name)?;
             let (object, placed) = (&self.scene.objects[index], &self.placed[index]);

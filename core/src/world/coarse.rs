@@ -42,12 +42,12 @@ impl Coarse {
         for (i, (p, n)) in positions.iter().zip(normals).enumerate() {
             cells.entry(cell_of(*p, *n, radius)).or_default().push(i as u32);
         }
-        let mut representatives = Vec::with_capacity(cells.len());
-        let mut cell_index: BTreeMap<Cell, u32> = BTreeMap::new();
-        for (cell, members) in &cells {
-            cell_index.insert(*cell, representatives.len() as u32);
-            representatives.push(nearest_to_mean(members, positions, areas));
-        }
+        let mut chosen: Vec<(u32, Cell)> =
+            cells.iter().map(|(cell, members)| (nearest_to_mean(members, positions, areas), *cell)).collect();
+        // Side by side in the elements' spatial order: neighbours lie together.
+        chosen.sort_unstable_by_key(|(element, cell)| (cell.0, *element));
+        let cell_index: BTreeMap<Cell, u32> = chosen.iter().map(|(_, cell)| *cell).zip(0..).collect();
+        let representatives = chosen.into_iter().map(|(element, _)| element).collect();
         let mut coarse = Coarse { representatives, offsets: vec![0], entries: Vec::new() };
         for (p, n) in positions.iter().zip(normals) {
             coarse.push_entries(*p, *n, positions, normals, radius, &cell_index);

@@ -7,6 +7,7 @@ use std::ops::Range;
 
 use glam::Vec3;
 
+use super::holes::Holes;
 use crate::surface::Surface;
 
 /// Marks a slot without an object.
@@ -16,7 +17,7 @@ pub const NO_OBJECT: u32 = u32::MAX;
 pub(crate) const NO_PART: u32 = u32::MAX;
 
 /// Elements and triangles of all objects.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub(crate) struct Geometry {
     /// Sample points, scene space. Per element slot.
     pub positions: Vec<Vec3>,
@@ -28,6 +29,8 @@ pub(crate) struct Geometry {
     pub owners: Vec<u32>,
     /// Per triangle slot.
     pub triangles: Vec<TriangleRecord>,
+    free_elements: Holes,
+    free_triangles: Holes,
 }
 
 /// What a ray needs to know of the triangle it hit, beside its corners (which the tree holds).
@@ -89,25 +92,21 @@ pub(crate) struct Placement {
     pub triangles: Range<u32>,
 }
 
-/// Finds the first run of `count` free slots, or the end.
-pub(crate) fn find_hole(is_free: impl Fn(usize) -> bool, len: usize, count: usize) -> usize {
-    let (mut start, mut run) = (len, 0);
-    for i in 0..len {
-        if is_free(i) {
-            if run == 0 {
-                start = i;
-            }
-            run += 1;
-            if run == count {
-                return start;
-            }
-        } else {
-            run = 0;
-            start = len;
-        }
+impl Placement {
+    /// The element slots as indices of arrays.
+    pub(crate) fn element_indices(&self) -> Range<usize> {
+        self.elements.start as usize..self.elements.end as usize
     }
-    // A hole at the very end may grow.
-    start
+}
+
+/// An edit copies all arrays: on two threads.
+impl Clone for Geometry {
+    fn clone(&self) -> Self {
+        let elements = || (self.positions.clone(), self.normals.clone(), self.areas.clone(), self.owners.clone());
+        let ((positions, normals, areas, owners), triangles) = rayon::join(elements, || self.triangles.clone());
+        let (free_elements, free_triangles) = (self.free_elements.clone(), self.free_triangles.clone());
+        Geometry { positions, normals, areas, owners, triangles, free_elements, free_triangles }
+    }
 }
 
 impl Geometry {
@@ -115,9 +114,8 @@ impl Geometry {
     pub(crate) fn place(&mut self, surface: &Surface, key: u32, with_back: bool, parts_first: u32) -> Placement {
         let front = surface.positions.len();
         let count = if with_back { 2 * front } else { front };
-        let first = find_hole(|i| self.owners[i] == NO_OBJECT, self.owners.len(), count);
-        let first_triangle =
-            find_hole(|i| self.triangles[i].part == NO_PART, self.triangles.len(), surface.triangles.len());
+        let first = self.free_elements.take(count, self.owners.len());
+        let first_triangle = self.free_triangles.take(surface.triangles.len(), self.triangles.len());
         let end = first + count;
         if end > self.owners.len() {
             self.positions.resize(end, Vec3::ZERO);
@@ -157,13 +155,15 @@ impl Geometry {
 
     /// Frees an object's slots.
     pub(crate) fn clear(&mut self, placement: &Placement) {
-        let range = placement.elements.start as usize..placement.elements.end as usize;
+        let range = placement.element_indices();
         self.positions[range.clone()].fill(Vec3::ZERO);
         self.normals[range.clone()].fill(Vec3::ZERO);
         self.areas[range.clone()].fill(0.0);
-        self.owners[range].fill(NO_OBJECT);
+        self.owners[range.clone()].fill(NO_OBJECT);
+        self.free_elements.give(range);
         let triangles = placement.triangles.start as usize..placement.triangles.end as usize;
-        self.triangles[triangles].fill(TriangleRecord::EMPTY);
+        self.triangles[triangles.clone()].fill(TriangleRecord::EMPTY);
+        self.free_triangles.give(triangles);
     }
 
     /// Bytes held.
@@ -173,22 +173,5 @@ impl Geometry {
             + self.areas.capacity() * 4
             + self.owners.capacity() * 4
             + self.triangles.capacity() * size_of::<TriangleRecord>()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::find_hole;
-
-    #[test]
-    fn holes_are_found_first_fit_and_at_the_end() {
-        let free = [true, false, true, true, false, true];
-        let find = |count| find_hole(|i| free[i], free.len(), count);
-        assert_eq!(find(1), 0);
-        assert_eq!(find(2), 2);
-        // Three slots fit only behind slot 5, which is free and last.
-        assert_eq!(find(3), 5);
-        assert_eq!(find_hole(|_| false, 4, 1), 4);
-        assert_eq!(find_hole(|_| true, 0, 3), 0);
     }
 }

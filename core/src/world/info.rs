@@ -72,7 +72,7 @@ impl World {
     pub fn object_indices(&self) -> Vec<u32> {
         let mut indices = vec![NO_OBJECT; self.slots()];
         for (index, placed) in self.placed.iter().enumerate() {
-            let range = placed.placement.elements.start as usize..placed.placement.elements.end as usize;
+            let range = placed.placement.element_indices();
             indices[range].fill(index as u32);
         }
         indices

@@ -8,6 +8,7 @@ mod choice;
 mod coarse;
 mod emitters;
 mod geometry;
+mod holes;
 mod info;
 mod lights;
 mod motion;
@@ -33,6 +34,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use crate::scene::Scene;
 use crate::surface::{Surface, SurfaceError};
@@ -235,7 +237,7 @@ impl World {
 
     /// Slots whose value is computed, in spatial order within objects.
     pub(crate) fn computed_slots(&self) -> Vec<u32> {
-        let live = self.placed.iter().flat_map(|p| p.placement.elements.clone());
+        let live = self.placed.par_iter().flat_map(|p| p.placement.elements.clone().into_par_iter().with_min_len(4096));
         live.filter(|&i| self.geometry.areas[i as usize] > 0.0 && self.validity.is_valid(i as usize)).collect()
     }
 

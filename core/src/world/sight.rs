@@ -99,7 +99,7 @@ fn grown(placed: &Placed, by: f32) -> (Vec3, Vec3) {
     (low - by, high + by)
 }
 
-fn overlap(a: &(Vec3, Vec3), b: &(Vec3, Vec3)) -> bool {
+pub(super) fn overlap(a: &(Vec3, Vec3), b: &(Vec3, Vec3)) -> bool {
     a.0.cmple(b.1).all() && b.0.cmple(a.1).all()
 }
 

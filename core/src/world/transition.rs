@@ -74,18 +74,14 @@ impl Transition {
     /// Values in the slots of the new world, `per_slot` side by side.
     pub(crate) fn carry<T: Copy + Default + Send + Sync>(&self, values: &[T], per_slot: usize) -> Vec<T> {
         if self.keeps_slots() {
-            return values.to_vec();
+            return values.par_iter().with_min_len(CHUNK).copied().collect();
         }
-        let mut next = vec![T::default(); self.after.slots() * per_slot];
-        let per_slot = per_slot.max(1);
         let (old, new) = (&self.before.geometry.owners, &self.after.geometry.owners);
-        let slots = next.par_chunks_mut(per_slot).zip(values.par_chunks(per_slot)).zip(old.par_iter().zip(new));
-        slots.with_min_len(CHUNK).for_each(|((next, value), (old, new))| {
-            if old == new && *new != super::NO_OBJECT {
-                next.copy_from_slice(value);
-            }
-        });
-        next
+        let per_slot = per_slot.max(1);
+        let stays = |slot: usize| new[slot] != super::NO_OBJECT && old.get(slot) == Some(&new[slot]);
+        let value = |i: usize| values.get(i).copied().filter(|_| stays(i / per_slot)).unwrap_or_default();
+        let len = if values.is_empty() { 0 } else { new.len() * per_slot };
+        (0..len).into_par_iter().with_min_len(CHUNK).map(value).collect()
     }
 
     /// Corners of everything that came or went.

@@ -6,6 +6,7 @@ use std::ops::Range;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::sight::overlap;
 use super::{Placed, Trees, World};
 use crate::bvh::Ray;
 use crate::random::Pcg32;
@@ -21,8 +22,12 @@ const ALL_RAYS: u32 = 32;
 pub(crate) struct Validity {
     /// Invalid slots, ascending.
     invalid: Vec<u32>,
-    /// Slots to fill, nearest to valid ones first; each is the mean of sources filled before it.
+    /// The same, a bit per slot; empty where all are valid.
+    bits: Vec<u64>,
+    /// Slots to fill, object by object, nearest to valid ones first; each is the mean of sources filled before it.
     fills: Vec<Fill>,
+    /// The part of `fills` that belongs to an object, by key.
+    of_object: BTreeMap<u32, Range<usize>>,
     /// Indices of `fills` by target.
     by_target: Vec<u32>,
 }
@@ -36,49 +41,77 @@ struct Fill {
 impl Validity {
     /// Tests all elements of a world.
     pub(super) fn of_all(world: &World) -> Validity {
-        let live: Vec<Range<u32>> = world.placed.iter().map(|p| p.placement.elements.clone()).collect();
-        let invalid = live.into_par_iter().flat_map(|r| r.into_par_iter().filter(|&i| is_inside(world, i))).collect();
-        Validity::from_invalid(world, invalid)
+        let inside = |placed: &Placed| {
+            let slots = placed.placement.elements.clone().into_par_iter();
+            slots.filter(|&slot| is_inside(world, slot)).collect()
+        };
+        Validity::from_invalid(world, inside, |_, _| None)
     }
 
     /// Tests the elements of `ranges` and those within `bounds` anew, keeps the rest of `old`.
     pub(super) fn updated(old: &Validity, world: &World, ranges: &[Range<u32>], bounds: &[(Vec3, Vec3)]) -> Validity {
-        let affected = |i: u32| {
-            ranges.iter().any(|r| r.contains(&i))
-                || bounds.iter().any(|(low, high)| {
-                    let p = world.geometry.positions[i as usize];
-                    p.cmpge(*low).all() && p.cmple(*high).all()
-                })
+        let is_new = |slot: &u32| ranges.iter().any(|range| range.contains(slot));
+        let is_affected = |slot: u32| {
+            let p = world.geometry.positions[slot as usize];
+            is_new(&slot) || bounds.iter().any(|(low, high)| p.cmpge(*low).all() && p.cmple(*high).all())
         };
-        let live: Vec<Range<u32>> = world.placed.iter().map(|p| p.placement.elements.clone()).collect();
-        let invalid = live
-            .into_par_iter()
-            .flat_map(|r| {
-                r.into_par_iter().filter(|&i| if affected(i) { is_inside(world, i) } else { !old.is_valid(i as usize) })
-            })
-            .collect();
-        Validity::from_invalid(world, invalid)
+        let inside = |placed: &Placed| -> Vec<u32> {
+            let slots = placed.placement.elements.clone();
+            let own = placed.surface.bounds();
+            if !is_new(&slots.start) && !bounds.iter().any(|b| overlap(b, &own)) {
+                return old.invalid_of(&slots).to_vec();
+            }
+            let is_inside =
+                |&slot: &u32| if is_affected(slot) { is_inside(world, slot) } else { !old.is_valid(slot as usize) };
+            slots.into_par_iter().with_min_len(256).filter(is_inside).collect()
+        };
+        let kept = |placed: &Placed, invalid: &[u32]| {
+            let slots = &placed.placement.elements;
+            let range = old.of_object.get(&placed.key)?;
+            (!is_new(&slots.start) && old.invalid_of(slots) == invalid).then(|| &old.fills[range.clone()])
+        };
+        Validity::from_invalid(world, inside, kept)
     }
 
-    fn from_invalid(world: &World, mut invalid: Vec<u32>) -> Validity {
+    /// `inside` tells the invalid slots of an object, ascending, and `kept` its fills where they are known.
+    fn from_invalid<'a>(
+        world: &World,
+        inside: impl Fn(&Placed) -> Vec<u32> + Sync,
+        kept: impl Fn(&Placed, &[u32]) -> Option<&'a [Fill]> + Sync,
+    ) -> Validity {
+        let by_object: Vec<Vec<u32>> = world.placed.par_iter().map(|placed| inside(placed)).collect();
+        let mut invalid = by_object.concat();
         invalid.sort_unstable();
-        let set: BTreeSet<u32> = invalid.iter().copied().collect();
-        let mut fills: Vec<Fill> = Vec::new();
-        for placed in &world.placed {
-            let range = placed.placement.elements.clone();
-            if set.range(range).next().is_some() {
-                fill_object(placed, &set, &mut fills);
-            }
+        let mut bits = if invalid.is_empty() { Vec::new() } else { vec![0; world.slots().div_ceil(64)] };
+        invalid.iter().for_each(|&slot| bits[slot as usize / 64] |= 1 << (slot % 64));
+        let mut validity = Validity { invalid, bits, ..Validity::default() };
+        let objects = world.placed.par_iter().zip(&by_object).filter(|(_, invalid)| !invalid.is_empty());
+        let filled: Vec<(u32, Vec<Fill>)> = objects
+            .map(|(placed, invalid)| {
+                let fills = kept(placed, invalid).map_or_else(|| fill_object(placed, &validity), <[Fill]>::to_vec);
+                (placed.key, fills)
+            })
+            .collect();
+        for (key, fills) in filled {
+            let first = validity.fills.len();
+            validity.fills.extend(fills);
+            validity.of_object.insert(key, first..validity.fills.len());
         }
-        let mut by_target: Vec<u32> = (0..fills.len() as u32).collect();
-        by_target.sort_unstable_by_key(|&f| fills[f as usize].target);
-        Validity { invalid, fills, by_target }
+        validity.by_target = (0..validity.fills.len() as u32).collect();
+        validity.by_target.sort_unstable_by_key(|&f| validity.fills[f as usize].target);
+        validity
+    }
+
+    /// The invalid ones among some slots, ascending.
+    pub(super) fn invalid_of(&self, slots: &Range<u32>) -> &[u32] {
+        let index = |slot: u32| self.invalid.partition_point(|&s| s < slot);
+        &self.invalid[index(slots.start)..index(slots.end)]
     }
 
     /// Whether a slot's value is computed.
     #[inline]
     pub(crate) fn is_valid(&self, slot: usize) -> bool {
-        self.invalid.is_empty() || self.invalid.binary_search(&(slot as u32)).is_err()
+        self.bits.get(slot / 64).is_none_or(|bits| bits >> (slot % 64) & 1 == 0)
     }
 
     /// One of the slots that an invalid slot takes its value from, by a uniform number; the slot itself where it is valid.
@@ -146,17 +179,18 @@ fn is_inside(world: &World, slot: u32) -> bool {
 }
 
 /// Ring by ring from the valid elements of one object, along its triangles.
-fn fill_object(placed: &Placed, invalid: &BTreeSet<u32>, fills: &mut Vec<Fill>) {
+fn fill_object(placed: &Placed, validity: &Validity) -> Vec<Fill> {
     let n = placed.surface.positions.len() as u32;
     let first = placed.placement.elements.start;
     let sides = if placed.with_back { 2 } else { 1 };
+    let mut fills = Vec::new();
     for side in 0..sides {
         let slot = |i: u32| first + side * n + i;
         let mut neighbours: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
         for t in &placed.surface.triangles {
             for k in 0..3 {
                 let me = slot(t[k]);
-                if invalid.contains(&me) {
+                if !validity.is_valid(me as usize) {
                     neighbours.entry(me).or_default().extend([slot(t[(k + 1) % 3]), slot(t[(k + 2) % 3])]);
                 }
             }
@@ -182,4 +216,5 @@ fn fill_object(placed: &Placed, invalid: &BTreeSet<u32>, fills: &mut Vec<Fill>) 
             fills.extend(ring);
         }
     }
+    fills
 }
