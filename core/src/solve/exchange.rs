@@ -10,7 +10,8 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Subset, gmres};
+use super::rows::NONE;
+use super::{Rows, Subset, gmres};
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
@@ -20,10 +21,8 @@ use crate::world::World;
 /// Residual of the solve, relative to its source.
 const TOLERANCE: f64 = 1e-4;
 
-/// Representatives per task.
+/// Rows per task.
 const CHUNK: usize = 32;
-
-const NONE: u32 = u32::MAX;
 
 /// Where one path of a representative ended.
 #[derive(Clone, Copy, Debug)]
@@ -34,37 +33,6 @@ struct Entry {
     element: u32,
     /// Product of the albedos on the way.
     weight: Vec3,
-}
-
-/// The representatives that a matrix is over.
-pub(crate) struct Rows {
-    /// Indices into `Subset::slots`.
-    pub members: Vec<u32>,
-    /// Row of every index of `Subset::slots`, or `NONE`; empty where all are rows.
-    row_of: Vec<u32>,
-}
-
-impl Rows {
-    /// All representatives.
-    pub(crate) fn all(subset: &Subset) -> Rows {
-        Rows { members: (0..subset.slots.len() as u32).collect(), row_of: Vec::new() }
-    }
-
-    /// Those whose element slot is wanted.
-    pub(crate) fn only(subset: &Subset, wanted: impl Fn(u32) -> bool) -> Rows {
-        let mut rows = Rows { members: Vec::new(), row_of: vec![NONE; subset.slots.len()] };
-        for (i, &slot) in subset.slots.iter().enumerate() {
-            if wanted(slot) {
-                rows.row_of[i] = rows.members.len() as u32;
-                rows.members.push(i as u32);
-            }
-        }
-        rows
-    }
-
-    fn row(&self, representative: u32) -> u32 {
-        if self.row_of.is_empty() { representative } else { self.row_of[representative as usize] }
-    }
 }
 
 /// How many paths rows get, at least one each.
@@ -123,17 +91,17 @@ impl<V: Value> Exchange<V> {
         seed: u64,
         work: &Work,
     ) -> Result<Exchange<V>, Canceled> {
-        let offsets = paths.offsets(rows.members.len());
-        let mut entries = vec![Entry { row: NONE, element: NONE, weight: Vec3::ZERO }; offsets[rows.members.len()]];
-        let mut first = vec![V::default(); rows.members.len()];
+        let offsets = paths.offsets(rows.len());
+        let mut entries = vec![Entry { row: NONE, element: NONE, weight: Vec3::ZERO }; offsets[rows.len()]];
+        let mut first = vec![V::default(); rows.len()];
         let seed = subseed(seed, 0xec);
-        let tasks = rows.members.chunks(CHUNK).zip(chunks(&offsets, &mut entries)).zip(first.chunks_mut(CHUNK));
-        tasks.collect::<Vec<_>>().into_par_iter().try_for_each(|((members, (offsets, mut entries)), first)| {
+        let tasks = (0..rows.len()).step_by(CHUNK).zip(chunks(&offsets, &mut entries)).zip(first.chunks_mut(CHUNK));
+        tasks.collect::<Vec<_>>().into_par_iter().try_for_each(|((row, (offsets, mut entries)), first)| {
             work.check()?;
             let mut rays = 0;
-            for ((first, ends), &member) in first.iter_mut().zip(offsets.windows(2)).zip(members) {
+            for ((row, first), ends) in (row..).zip(first).zip(offsets.windows(2)) {
                 let own = entries.split_off_mut(..ends[1] - ends[0]).unwrap_or_default();
-                *first = trace_row(world, subset, rows, subset.slots[member as usize], source, own, seed, &mut rays);
+                *first = trace_row(world, subset, rows, row, source, own, seed, &mut rays);
             }
             work.count(rays);
             Ok(())
@@ -177,29 +145,38 @@ impl<V: Value> Exchange<V> {
     /// Values of rows at all representatives; zero at those that are no rows.
     pub(crate) fn to_representatives(&self, subset: &Subset, values: &[V]) -> Vec<V> {
         let mut out = vec![V::default(); subset.slots.len()];
-        self.rows.members.iter().zip(values).for_each(|(&m, v)| out[m as usize] = *v);
+        for (row, value) in values.iter().enumerate() {
+            self.rows.members_of(row).iter().for_each(|&member| out[member as usize] = *value);
+        }
         out
     }
 }
 
+/// Paths begin at the members of the row in turn, from a random one on.
 #[expect(clippy::too_many_arguments, reason = "a private step of one loop")]
 fn trace_row<V: Value>(
     world: &World,
     subset: &Subset,
     rows: &Rows,
-    slot: u32,
+    row: usize,
     source: &Source<impl Radiance<V>, V>,
     entries: &mut [Entry],
     seed: u64,
     rays: &mut u64,
 ) -> V {
-    let from = world.ray_origin(slot as usize);
-    let mut rng = Pcg32::new(seed, u64::from(slot));
+    let members = rows.members_of(row);
+    let mut rng = Pcg32::new(seed, u64::from(subset.slots[members[0] as usize]));
+    let turn = if members.len() > 1 { (rng.next_f32() * members.len() as f32) as usize } else { 0 };
+    let begin = |k: usize| {
+        let slot = subset.slots[members[(turn + k) % members.len()] as usize];
+        (slot, world.ray_origin(slot as usize))
+    };
     let sequence = R2::new(&mut rng);
     let aims = source.aims(entries.len() as u32);
     let ratio = aims as f32 / entries.len() as f32;
     let (mut sum, mut last) = (V::default(), None);
     for (k, entry) in entries.iter_mut().enumerate() {
+        let (slot, from) = begin(k);
         let direction = cosine_hemisphere(from.1, sequence.get(k as u32));
         let (end, landed) = source.along(world, slot, from, direction, ratio, &mut rng, rays, &mut sum);
         source.add_landed(std::mem::replace(&mut last, landed).as_ref(), &mut rng, rays, &mut sum);
@@ -212,6 +189,7 @@ fn trace_row<V: Value>(
     source.add_landed(last.as_ref(), &mut rng, rays, &mut sum);
     let sequence = R2::new(&mut rng);
     for k in 0..aims {
+        let (slot, from) = begin(k as usize);
         sum += source.aimed(world, slot, from, sequence.get(k), ratio, &mut rng, rays);
     }
     sum / entries.len() as f32

@@ -3,7 +3,9 @@
 
 mod exchange;
 mod gmres;
+mod rows;
 mod subset;
 
-pub(crate) use exchange::{Exchange, Paths, Rows};
+pub(crate) use exchange::{Exchange, Paths};
+pub(crate) use rows::Rows;
 pub(crate) use subset::Subset;

@@ -1,5 +1,6 @@
 //! How many paths each representative gets for the bounces of a change: samples where variance × area says (design,
-//! section 3.6). Most of a change is near its edit, and far from there a path seldom meets any of it.
+//! section 3.6). Most of a change is near its edit, and far from there a path seldom meets any of it. Where less than one is
+//! asked for, neighbours share one.
 //!
 //! The variance of a path is at most the mean square of what it may meet, which needs no ray to be judged roughly: squared
 //! light of some clusters of surfaces, as if nothing stood in between.
@@ -31,6 +32,10 @@ const MOST: f32 = 8.0;
 /// the same or more is known per second than with 1.0 (up to 1.5 times as much).
 const MARGIN: f64 = 1.3;
 
+/// Neighbours that share paths are within so many spacings of the first of them, and turned by no more than this cosine.
+const SHARED_WITHIN: f32 = 16.0;
+const SHARED_COSINE: f32 = 0.8;
+
 /// How much each representative needs paths.
 pub(super) struct Allotment {
     /// Per representative: √(area × variance of one path), up to a factor.
@@ -61,13 +66,42 @@ impl Allotment {
         Allotment { needs }
     }
 
-    /// Paths of every row. Together they have the noise that `each` would leave if all had it, with fewer.
-    pub(super) fn paths(&self, rows: &Rows, each: u32) -> Vec<u32> {
-        let needs = || rows.members.iter().map(|&m| f64::from(self.needs[m as usize]));
+    /// Rows for some representatives, and the paths of each. Together they have the noise that `each` would leave if all had
+    /// it, with fewer.
+    pub(super) fn rows(&self, world: &World, subset: &Subset, members: &Rows, each: u32) -> (Rows, Vec<u32>) {
+        let needs = || members.members().iter().map(|&m| f64::from(self.needs[m as usize]));
         let (sum, squares) = needs().fold((0.0, 0.0), |(s, q), n| (s + n, q + n * n));
         let factor = if squares > 0.0 { MARGIN * sum / squares } else { 0.0 };
-        let paths = |need: f64| (f64::from(each) * (need * factor).min(f64::from(MOST))).round().max(1.0) as u32;
-        needs().map(paths).collect()
+        let mut shares: Vec<Share> = Vec::new();
+        for (need, &member) in needs().zip(members.members()) {
+            let paths = f64::from(each) * (need * factor).min(f64::from(MOST));
+            let slot = subset.slots[member as usize] as usize;
+            match shares.last_mut().filter(|share| share.takes(world, slot, paths)) {
+                Some(share) => (share.count, share.paths) = (share.count + 1, share.paths + paths),
+                None => shares.push(Share { first: slot, count: 1, paths }),
+            }
+        }
+        let rows = members.shared(shares.iter().map(|share| share.count));
+        (rows, shares.iter().map(|share| share.paths.round().max(1.0) as u32).collect())
+    }
+}
+
+/// Neighbours that are one row.
+struct Share {
+    /// Slot of the first of them.
+    first: usize,
+    count: u32,
+    /// That are asked for.
+    paths: f64,
+}
+
+impl Share {
+    /// Whether one more is near enough, and one path enough for all.
+    fn takes(&self, world: &World, slot: usize, paths: f64) -> bool {
+        let within = SHARED_WITHIN * world.resolution.smooth;
+        self.paths + paths <= 1.0
+            && world.positions()[slot].distance_squared(world.positions()[self.first]) < within * within
+            && world.normals()[slot].dot(world.normals()[self.first]) > SHARED_COSINE
     }
 }
 
@@ -190,17 +224,15 @@ mod tests {
     }
 
     /// Means and variances over runs of what every row gathers.
-    fn gathered(world: &World, subset: &Subset, change: &[Vec3], paths: Paths) -> Vec<(f64, f64)> {
-        const RUNS: u64 = 60;
-        let rows = Arc::new(Rows::all(subset));
+    fn gathered(world: &World, subset: &Subset, change: &[Vec3], rows: &Arc<Rows>, paths: Paths) -> Vec<(f64, f64)> {
         let radiance = |_: u32, s: &Surfel, _: bool, _: &mut Pcg32, _: &mut u64| {
             s.elements.map_or(Vec3::ZERO, |e| s.interpolate(e, change) * s.albedo)
         };
         let source = Source { radiance, looked_up: change, sky: Vec3::ZERO, spots: None };
         let work = Work::new(&Unobserved);
-        let mut sums = vec![(0.0, 0.0); rows.members.len()];
+        let mut sums = vec![(0.0, 0.0); rows.len()];
         for seed in 0..RUNS {
-            let found = Exchange::trace(world, subset, &rows, &source, paths, seed, &work).expect("nobody cancels");
+            let found = Exchange::trace(world, subset, rows, &source, paths, seed, &work).expect("nobody cancels");
             for (sum, light) in sums.iter_mut().zip(found.first) {
                 *sum = (sum.0 + f64::from(light.x), sum.1 + f64::from(light.x * light.x));
             }
@@ -209,6 +241,8 @@ mod tests {
         sums.into_iter().map(|(sum, squares)| (sum / n, (squares - sum * sum / n).max(0.0) / (n - 1.0))).collect()
     }
 
+    const RUNS: u64 = 60;
+
     #[test]
     fn local_changes_need_fewer_paths_for_the_same_noise() {
         let world = room();
@@ -216,38 +250,60 @@ mod tests {
         let near = |p: &Vec3| p.distance(Vec3::new(1.15, 0.0, 1.15)) < 0.8;
         let change: Vec<Vec3> = world.positions().iter().map(|p| Vec3::splat(f32::from(near(p)))).collect();
         let amounts: Vec<f32> = change.iter().map(|c| c.x).collect();
-        let rows = Rows::all(&subset);
+        let all = Arc::new(Rows::all(&subset));
         const EACH: u32 = 16;
-        let paths = Allotment::new(&world, &subset, &amounts).paths(&rows, EACH);
+        let (rows, paths) = Allotment::new(&world, &subset, &amounts).rows(&world, &subset, &all, EACH);
         let count: u32 = paths.iter().sum();
-        assert!(f64::from(count) < 0.6 * f64::from(EACH) * rows.members.len() as f64, "{count}");
+        assert!(f64::from(count) < 0.6 * f64::from(EACH) * all.len() as f64, "{count}");
 
-        let with = gathered(&world, &subset, &change, Paths::OfRows(&paths));
-        let without = gathered(&world, &subset, &change, Paths::Each(EACH));
+        let rows = Arc::new(rows);
+        let with = gathered(&world, &subset, &change, &rows, Paths::OfRows(&paths));
+        let without = gathered(&world, &subset, &change, &all, Paths::Each(EACH));
         let (mut squares, mut rows_seen) = (0.0, 0.0);
-        for (row, (a, b)) in with.iter().zip(&without).enumerate() {
-            let variance = (a.1 + b.1) / 60.0;
+        for (row, a) in with.iter().enumerate() {
+            // A row that is shared has the mean of its members.
+            let members = rows.members_of(row);
+            let n = members.len() as f64;
+            let of_members = members.iter().map(|&m| without[m as usize]);
+            let b = of_members.fold((0.0, 0.0), |sum, m| (sum.0 + m.0 / n, sum.1 + m.1 / (n * n)));
             // Rows that the change is hidden from gather nothing either way.
             if a.1 == 0.0 || b.1 == 0.0 {
                 continue;
             }
-            let z = (a.0 - b.0) / variance.sqrt();
+            let z = (a.0 - b.0) / ((a.1 + b.1) / RUNS as f64).sqrt();
             assert!(z.abs() < 7.0, "row {row}: {a:?} and {b:?}");
             (squares, rows_seen) = (squares + z * z, rows_seen + 1.0);
         }
         assert!(rows_seen > 300.0 && squares / rows_seen < 1.4, "{squares} over {rows_seen}");
-        let noise = |found: &[(f64, f64)]| -> f64 {
-            subset.areas(&world).iter().zip(found).map(|(area, f)| f64::from(*area) * f.1).sum()
+        let areas = subset.areas(&world);
+        let noise = |rows: &Rows, found: &[(f64, f64)]| -> f64 {
+            let of_row = |row: usize| rows.members_of(row).iter().map(|&m| f64::from(areas[m as usize])).sum::<f64>();
+            found.iter().enumerate().map(|(row, f)| of_row(row) * f.1).sum()
         };
-        assert!(noise(&with) < 1.25 * noise(&without), "{} and {}", noise(&with), noise(&without));
+        let (with, without) = (noise(&rows, &with), noise(&all, &without));
+        assert!(with < 1.25 * without, "{with} and {without}");
     }
 
+    /// Where nothing changes neighbours share a path, and nobody is left out.
     #[test]
-    fn where_nothing_changes_one_path_is_enough() {
+    fn quiet_neighbours_share_one_path() {
         let world = room();
         let subset = Subset::new(&world);
-        let paths = Allotment::new(&world, &subset, &vec![0.0; world.slots()]).paths(&Rows::all(&subset), 16);
+        let all = Rows::all(&subset);
+        let allotment = Allotment::new(&world, &subset, &vec![0.0; world.slots()]);
+        let (rows, paths) = allotment.rows(&world, &subset, &all, 16);
         assert!(paths.iter().all(|paths| *paths == 1));
+        assert_eq!(rows.members(), all.members());
+        assert!(4 * rows.len() < all.len(), "{} rows of {}", rows.len(), all.len());
+        for members in (0..rows.len()).map(|row| rows.members_of(row)) {
+            let place = |m: u32| {
+                let slot = subset.slots[m as usize] as usize;
+                (world.positions()[slot], world.normals()[slot])
+            };
+            let (first, normal) = place(members[0]);
+            let is_near = |(p, n): (Vec3, Vec3)| p.distance(first) < 16.0 * 0.15 && n.dot(normal) > 0.8;
+            assert!(members.iter().all(|&m| is_near(place(m))));
+        }
     }
 
     /// All elements are interpolated from representatives: so are all areas.

@@ -123,10 +123,10 @@ impl<V: Value> Updater<'_, V> {
         });
         let seed = subseed(round.seed, 0x9409);
         let (rows, bounces) = known.unzip();
-        let rows = rows.unwrap_or(&self.rows);
+        let (rows, paths) = allotment.rows(world, &self.subset, rows.unwrap_or(&self.rows), samples);
         let source = change.source(bounces, spots.as_ref());
-        let paths = allotment.paths(rows, samples);
-        let exchange = Exchange::trace(world, &self.subset, rows, &source, Paths::OfRows(&paths), seed, self.work)?;
+        let paths = Paths::OfRows(&paths);
+        let exchange = Exchange::trace(world, &self.subset, &Arc::new(rows), &source, paths, seed, self.work)?;
         let found = match known {
             Some(_) => exchange.to_representatives(&self.subset, &exchange.first),
             None => exchange.to_representatives(&self.subset, &exchange.all_bounces(&exchange.first)),
