@@ -56,12 +56,14 @@ pub fn path_trace(
         let (point, n) = world.ray_origin(slot as usize);
         let mut rng = Pcg32::new(seed, u64::from(slot));
         let mut sums = Sums::default();
-        for _ in 0..batches {
+        for batch in 0..batches {
             let mut direct = lights.stratified(point, n, &mut rng, rays);
             let sequence = R2::new(&mut rng);
             let mut indirect = Vec3::ZERO;
             for k in 0..per_batch {
                 let first = Ray { origin: point, direction: cosine_hemisphere(n, sequence.get(k)), ..FREE };
+                // A stream of its own: where two worlds look alike to a path it is the same in both.
+                let mut rng = Pcg32::new(subseed(seed, 1 + u64::from(batch * per_batch + k)), u64::from(slot));
                 let (d, i) = path(&lights, n, first, &mut rng, rays);
                 direct += d / per_batch as f32;
                 indirect += i / per_batch as f32;

@@ -12,6 +12,8 @@ pub(crate) struct Rows {
     starts: Vec<u32>,
     /// Row of every index of `Subset::slots`, or `NONE`.
     row_of: Vec<u32>,
+    /// Where neighbours begin among the rows, and where the last ones end; empty where every row is on its own.
+    pub(super) neighbours: Vec<u32>,
 }
 
 impl Rows {
@@ -28,14 +30,10 @@ impl Rows {
         Rows::new(members, starts, count)
     }
 
-    /// The same representatives in rows of as many as told.
-    pub(crate) fn shared(&self, counts: impl Iterator<Item = u32>) -> Rows {
-        let ends = counts.scan(0, |end, count| {
-            *end += count;
-            Some(*end)
-        });
-        let starts = std::iter::once(0).chain(ends).collect();
-        Rows::new(self.members.clone(), starts, self.row_of.len())
+    /// The same representatives in rows of as many as told, and so many rows that are neighbours.
+    pub(crate) fn shared(&self, counts: impl Iterator<Item = u32>, neighbours: impl Iterator<Item = u32>) -> Rows {
+        let rows = Rows::new(self.members.clone(), ends(counts), self.row_of.len());
+        Rows { neighbours: ends(neighbours), ..rows }
     }
 
     fn new(members: Vec<u32>, starts: Vec<u32>, representatives: usize) -> Rows {
@@ -43,7 +41,7 @@ impl Rows {
         for (row, ends) in (0..).zip(starts.windows(2)) {
             members[ends[0] as usize..ends[1] as usize].iter().for_each(|&m| row_of[m as usize] = row);
         }
-        Rows { members, starts, row_of }
+        Rows { members, starts, row_of, neighbours: Vec::new() }
     }
 
     /// How many there are.
@@ -67,4 +65,13 @@ impl Rows {
     pub(super) fn row(&self, representative: u32) -> u32 {
         self.row_of[representative as usize]
     }
+}
+
+/// Where each of some runs begins, and where the last one ends.
+fn ends(counts: impl Iterator<Item = u32>) -> Vec<u32> {
+    let ends = counts.scan(0, |end, count| {
+        *end += count;
+        Some(*end)
+    });
+    std::iter::once(0).chain(ends).collect()
 }

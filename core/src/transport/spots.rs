@@ -11,6 +11,7 @@ use rayon::prelude::*;
 
 use super::walk::is_near;
 use super::{Surfel, Value};
+use crate::bvh::Hit;
 use crate::sampling::{Discrete, uniform_barycentrics};
 use crate::world::{Placed, World};
 
@@ -20,7 +21,7 @@ const BRIGHT: f64 = 8.0;
 /// Part of all squared radiance from which on spots are worth directions of their own.
 const WORTHWHILE: f64 = 0.5;
 
-/// The same where an update is concerned: changes of furniture have .92 to .98, and there it does not pay.
+/// The same of the change that an update carries on: those of furniture have .92 to .98, and there it does not pay.
 const EXTREME: f64 = 0.98;
 
 /// Places per task, and per partial sum: fixed, so that sums do not depend on the number of threads.
@@ -82,9 +83,18 @@ impl Spots {
         Spots::of(world, &runs.par_iter().zip(&amounts).flat_map_iter(bright).collect::<Vec<Spot>>())
     }
 
-    /// The spots of a light map or of its change, irradiance / π per slot, by what each layer weighs: where nearly all of it
-    /// is in few places.
+    /// The spots of a light map, irradiance / π per slot, by what each layer weighs.
     pub(crate) fn of_map<V: Value>(world: &World, light: &[V], weights: &[Vec3]) -> Option<Spots> {
+        Spots::of_most(world, light, weights, WORTHWHILE)
+    }
+
+    /// The spots of a change: where nearly all of it is in few places.
+    pub(crate) fn of_change<V: Value>(world: &World, light: &[V], weights: &[Vec3]) -> Option<Spots> {
+        Spots::of_most(world, light, weights, EXTREME)
+    }
+
+    /// The same where bright places have at least so much of all squared light.
+    fn of_most<V: Value>(world: &World, light: &[V], weights: &[Vec3], least: f64) -> Option<Spots> {
         let amount = |light: V| light.weighted(weights).abs();
         let amounts: Vec<f32> = light.par_iter().with_min_len(CHUNK).map(|l| amount(*l).element_sum()).collect();
         let places = || {
@@ -92,7 +102,7 @@ impl Spots {
             chunks.map(|(areas, amounts)| areas.iter().copied().zip(amounts.iter().copied()))
         };
         let limit = limit(places());
-        (share_of_bright(places(), limit) > EXTREME).then_some(())?;
+        (share_of_bright(places(), limit) > least).then_some(())?;
         // Most objects have no bright element, and of the others most triangles have none.
         let runs = runs(world, |placed| amounts[placed.placement.element_indices()].iter().any(|a| *a > limit));
         let bright = |run: &Run| -> Vec<Spot> {
@@ -125,6 +135,14 @@ impl Spots {
         let (there, normal) = target.point([u, v]);
         let w = there - point;
         (n.dot(w) > 0.0 && normal.dot(w) < 0.0).then(|| (w.normalize(), target.triangle))
+    }
+
+    /// How densely directions from where a ray begins are aimed at what it met, per unit of solid angle.
+    #[inline]
+    pub(crate) fn towards(&self, direction: Vec3, hit: &Hit) -> f32 {
+        let cos = -hit.normal.dot(direction);
+        let density = self.densities[hit.triangle as usize][usize::from(cos < 0.0)];
+        if density == 0.0 { 0.0 } else { density * hit.t * hit.t / cos.abs().max(f32::MIN_POSITIVE) }
     }
 
     /// How much of what a surface sends to a point counts where `ratio` directions are aimed for each drawn by the

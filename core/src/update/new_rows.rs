@@ -42,8 +42,7 @@ impl<V: Value> Updater<'_, V> {
         }
         self.transition.new_rows.iter().for_each(|&slot| field[slot as usize] = direct[slot as usize]);
         world.validity.fill(&mut field);
-        let spots = Spots::of_map(world, &field, self.stage.weights);
-        let spots = spots.as_ref();
+        let spots = self.spots_of_light(&field);
         match known {
             None => self.self_passes(round.seed, &own_direct, spots, &mut field)?,
             Some(known) => {

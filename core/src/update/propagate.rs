@@ -118,7 +118,7 @@ impl<V: Value> Updater<'_, V> {
         let amounts = change.amounts(world, self.stage.weights);
         let samples = (f64::from(samples) * self.weight_of(&amounts)).ceil() as u32;
         let Aims { spots, allotment } = self.aims.get_or_init(|| Aims {
-            spots: Spots::of_map(world, &change.seen_by_old, self.stage.weights),
+            spots: Spots::of_change(world, &change.seen_by_old, self.stage.weights),
             allotment: Allotment::new(world, &self.subset, &amounts),
         });
         let seed = subseed(round.seed, 0x9409);

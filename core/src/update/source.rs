@@ -12,7 +12,7 @@ use crate::random::{Pcg32, R2, subseed};
 use crate::rounds::Round;
 use crate::sampling::{Mixture, Spheres};
 use crate::solve::Subset;
-use crate::transport::{Surfel, Value, Work};
+use crate::transport::{Spots, Surfel, Value, Work};
 use crate::world::{Transition, World};
 
 /// From this part of the hemisphere on an element gets all samples; less coverage, less to know.
@@ -24,10 +24,25 @@ const NEAR_ZONE: f32 = 5.0;
 /// Samples of a representative of far elements per sample of a near element.
 const FAR_SAMPLES: u32 = 2;
 
+/// Rays for each one that is aimed at a bright spot.
+const SAMPLES_PER_AIM: u32 = 2;
+
 /// Light maps (direct + indirect) to look up, in the slots of their worlds.
 pub(super) struct Maps<'a, V> {
     pub before: &'a [V],
     pub after: &'a [V],
+    /// Where much of that light is.
+    pub spots: Option<&'a Spots>,
+}
+
+/// What changes along a ray.
+struct RayChange<V> {
+    /// Radiance of the sky.
+    sky: V,
+    /// Reflected radiance.
+    reflected: V,
+    /// Surfaces of the new world that are seen in one of both worlds.
+    seen: [Option<Hit>; 2],
 }
 
 /// Rays towards the geometry of an edit.
@@ -89,25 +104,41 @@ impl<'a> Source<'a> {
         work: &Work,
     ) -> Result<(Vec<V>, Vec<V>), Canceled> {
         let full = samples as f32;
+        let world = &self.transition.after;
         let values = work.map(rows, |_, slot, rays| {
-            let (point, n) = self.transition.after.ray_origin(slot as usize);
+            let from @ (point, n) = world.ray_origin(slot as usize);
             let Some(mixture) = Mixture::new(&self.spheres, point, n) else { return (V::default(), V::default()) };
             let wanted = full * (mixture.coverage() / FULL_COVERAGE).min(1.0);
             let samples = (wanted.ceil() as u32).max(1);
             let mut rng = Pcg32::new(seed, u64::from(slot));
             let sequence = R2::new(&mut rng);
+            let aims = if maps.spots.is_some() { samples.div_ceil(SAMPLES_PER_AIM) } else { 0 };
+            let ratio = aims as f32 / samples as f32;
             let (mut sky, mut reflected) = (V::default(), V::default());
-            for k in 0..samples {
-                let direction = mixture.sample(sequence.get(k));
-                let cos = n.dot(direction);
-                if cos <= 0.0 {
-                    continue;
+            let mut add = |direction: Vec3, target: Option<u32>, rays: &mut u64| {
+                let (cos, pdf) = (n.dot(direction), mixture.pdf(direction));
+                if cos <= 0.0 || pdf <= 0.0 {
+                    return;
                 }
                 let ray = Ray { origin: point, direction, t_min: 0.0, t_max: f32::INFINITY };
-                if let Some((s, r)) = self.ray_change(&ray, maps, rays) {
-                    let weight = cos * FRAC_1_PI / mixture.pdf(direction);
-                    sky += s * weight;
-                    reflected += r * weight;
+                let Some(change) = self.ray_change(&ray, maps, rays) else { return };
+                if target.is_some_and(|target| !change.seen.iter().flatten().any(|hit| hit.triangle == target)) {
+                    return;
+                }
+                let density = maps.spots.map_or(0.0, |spots| {
+                    change.seen.iter().flatten().map(|hit| spots.towards(direction, hit)).sum::<f32>()
+                });
+                let weight = cos * FRAC_1_PI / (pdf + ratio * density);
+                sky += change.sky * weight;
+                reflected += change.reflected * weight;
+            };
+            for k in 0..samples {
+                add(mixture.sample(sequence.get(k)), None, rays);
+            }
+            let sequence = R2::new(&mut rng);
+            for k in 0..aims {
+                if let Some((direction, target)) = maps.spots.and_then(|spots| spots.aim(from, sequence.get(k))) {
+                    add(direction, Some(target), rays);
                 }
             }
             (sky / samples as f32, reflected / samples as f32)
@@ -115,8 +146,8 @@ impl<'a> Source<'a> {
         Ok(values.into_iter().unzip())
     }
 
-    /// Change of (sky radiance, reflected radiance) along a ray; none where both worlds look the same.
-    fn ray_change<V: Value>(&self, ray: &Ray, maps: &Maps<V>, rays: &mut u64) -> Option<(V, V)> {
+    /// What changes along a ray; none where both worlds look the same.
+    fn ray_change<V: Value>(&self, ray: &Ray, maps: &Maps<V>, rays: &mut u64) -> Option<RayChange<V>> {
         let t = self.transition;
         let came = closest(t.come.as_deref(), ray, rays);
         let went = closest(t.gone.as_deref(), ray, rays);
@@ -141,7 +172,8 @@ impl<'a> Source<'a> {
         let sky = |world: &World, hidden: bool| if hidden { V::default() } else { world.emitters.sky() };
         let free = behind.is_none();
         let sky = sky(&t.after, !free || came.is_some()) - sky(&t.after, !free || went.is_some());
-        Some((sky, after - before))
+        let seen = [came.filter(|_| came_t < behind_t), behind];
+        Some(RayChange { sky, reflected: after - before, seen })
     }
 }
 
@@ -156,4 +188,74 @@ fn closest(tree: Option<&Bvh>, ray: &Ray, rays: &mut u64) -> Option<Hit> {
 fn look<V: Value>(world: &World, ray: &Ray, hit: Option<&Hit>, map: &[V], rays: &mut u64) -> V {
     let Some(surfel) = hit.and_then(|h| Surfel::to_look_up(world, ray, h, rays)) else { return V::default() };
     surfel.elements.map_or(V::default(), |e| surfel.interpolate(e, map) * surfel.albedo)
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DMat4;
+
+    use super::*;
+    use crate::edit::Edit;
+    use crate::job::Unobserved;
+    use crate::scene::{Material, Mesh, Object, Scene};
+    use crate::world::WorldOptions;
+
+    /// A box put into a closed room with a bright spot on one wall.
+    fn insert() -> Transition {
+        let white = Material::diffuse(Vec3::splat(0.5));
+        let room = Object::new("room", Mesh::cuboid(Vec3::ZERO, Vec3::splat(2.0)).inside_out(), white);
+        let options = WorldOptions { spacing: Some(0.2), ..WorldOptions::default() };
+        let world = World::new(Scene::from_objects(vec![room]), &options).expect("a room");
+        let boxed = Object::new("box", Mesh::cuboid(Vec3::new(0.8, 0.5, 0.8), Vec3::splat(1.2)), white);
+        let asset = std::sync::Arc::new(Scene::from_objects(vec![boxed]));
+        world.apply(&[Edit::Insert { asset, name: "box".into(), transform: DMat4::IDENTITY }]).expect("an insert")
+    }
+
+    /// Aimed rays change the noise of S and nothing else.
+    #[test]
+    fn what_hides_a_bright_spot_is_aimed_at() {
+        const RUNS: u64 = 300;
+        let transition = insert();
+        let (before, after) = (&transition.before, &transition.after);
+        let is_bright = |p: Vec3| p.x < 0.01 && p.distance(Vec3::new(0.0, 1.0, 1.0)) < 0.3;
+        let light = |world: &World| -> Vec<Vec3> {
+            let of = |p: &Vec3| Vec3::splat(if is_bright(*p) { 200.0 } else { 1.0 });
+            world.positions().iter().map(of).collect()
+        };
+        let (old, new) = (light(before), light(after));
+        let spots = Spots::of_map(after, &new, &[Vec3::ONE]);
+        assert!(spots.is_some());
+        let source = Source::new(&transition);
+        // Where the box hides the spot, and some places where it does not.
+        let faces_it = |slot: u32| after.positions()[slot as usize].x > 1.99;
+        let slots: Vec<u32> = (0..before.slots() as u32).filter(|&s| faces_it(s) || s % 29 == 0).collect();
+        let gathered = |spots: Option<&Spots>, samples: u32, seed: u64| {
+            let maps = Maps { before: &old, after: &new, spots };
+            let found = |run| source.gather(&slots, &maps, samples, subseed(seed, run), &Work::new(&Unobserved));
+            let mut sums = vec![(0.0, 0.0); slots.len()];
+            for run in 0..RUNS {
+                for (sum, s) in sums.iter_mut().zip(found(run).expect("nobody cancels").1) {
+                    let s = f64::from(s.x);
+                    *sum = (sum.0 + s, sum.1 + s * s);
+                }
+            }
+            let n = RUNS as f64;
+            let mean = |(sum, squares): (f64, f64)| (sum / n, (squares - sum * sum / n).max(0.0) / (n * (n - 1.0)));
+            sums.into_iter().map(mean).collect::<Vec<_>>()
+        };
+        let (with, without) = (gathered(spots.as_ref(), 8, 1), gathered(None, 12, 2));
+        let (mut squares, mut count, mut noise) = (0.0, 0.0, [0.0; 2]);
+        for ((slot, a), b) in slots.iter().zip(&with).zip(&without) {
+            if a.1 + b.1 == 0.0 {
+                assert!((a.0 - b.0).abs() < 1e-6, "slot {slot}: {a:?} and {b:?}");
+                continue;
+            }
+            let z = (a.0 - b.0) / (a.1 + b.1).sqrt();
+            assert!(z.abs() < 5.5, "slot {slot}: {a:?} and {b:?}");
+            (squares, count, noise) = (squares + z * z, count + 1.0, [noise[0] + a.1, noise[1] + b.1]);
+        }
+        assert!(count > 60.0 && (squares / count - 1.0).abs() < 6.0 * f64::sqrt(2.0 / count), "{squares} over {count}");
+        // As many rays.
+        assert!(noise[0] < 0.6 * noise[1], "{noise:?}");
+    }
 }

@@ -14,7 +14,7 @@ use crate::job::{Canceled, Pass};
 use crate::layers::Stack;
 use crate::rounds::{Estimate, First, Round};
 use crate::solve::{Rows, Subset};
-use crate::transport::{Value, Work};
+use crate::transport::{Spots, Value, Work};
 use crate::world::{Transition, World};
 
 /// Slots per task.
@@ -83,6 +83,8 @@ pub(super) struct Updater<'a, V> {
     pub(super) rows: Arc<Rows>,
     pub(super) source: source::Source<'a>,
     direct: direct::DirectChange<'a>,
+    /// Where much of all light is, as it was known first: whatever it says, what is gathered has no bias.
+    spots: OnceCell<Option<Spots>>,
     /// Of the bounces of the change.
     pub(super) aims: OnceCell<Aims>,
     /// Change of albedo per part of the new world.
@@ -116,6 +118,7 @@ impl<'a, V: Value> Updater<'a, V> {
             is_static,
             subset,
             direct: direct::DirectChange::new(transition),
+            spots: OnceCell::new(),
             aims: OnceCell::new(),
             repaint: transition.repaint(),
         }
@@ -182,8 +185,13 @@ impl<'a, V: Value> Updater<'a, V> {
             guess[slot as usize] = direct[slot as usize] + indirect[slot as usize];
         }
         world.validity.fill(&mut guess);
-        let maps = source::Maps { before: &self.before_total, after: &guess };
+        let maps = source::Maps { before: &self.before_total, after: &guess, spots: self.spots_of_light(&guess) };
         self.source.estimate(&extents.source, &self.subset, &maps, round, work, direct, indirect)
+    }
+
+    /// Where to aim at light that is not to be missed; `light` is all of it.
+    pub(super) fn spots_of_light(&self, light: &[V]) -> Option<&Spots> {
+        self.spots.get_or_init(|| Spots::of_map(self.world, light, self.stage.weights)).as_ref()
     }
 
     /// Whether the change is so large beside the light that is left that a bake is the better update (design, section 3.9):

@@ -138,6 +138,15 @@ pub struct RunReport {
     /// updates, where it was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub change_rmse: Option<f64>,
+    /// Standard error of `change_rmse` from the reference's elements and paths.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub change_rmse_error: Option<f64>,
+    /// The part of `change_rmse` that all runs have in common.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub change_bias: Option<f64>,
+    /// Standard error of `change_bias`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub change_bias_error: Option<f64>,
     /// As `gain`, of `change_rmse`: what the update gains where the old map is right.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub change_gain: Option<f64>,

@@ -8,7 +8,8 @@ use rebake_core::{Budget, LightMap, Unobserved, bake};
 use super::gallery::{Shown, draw_case};
 use super::report::{BaseReport, CaseReport, ReferenceReport, Report, RunReport};
 use super::{
-    Goal, Method, Mode, PictureOptions, PreparedCase, Reference, StudyReport, Subject, Timed, run_method, run_service,
+    Goal, Measured, Method, Mode, PictureOptions, PreparedCase, Reference, StudyReport, Subject, Timed, run_method,
+    run_service,
 };
 
 /// What to run, and how long.
@@ -113,10 +114,9 @@ fn run_case(case: &PreparedCase, options: &Options, watcher: &mut dyn Watcher) -
                 .collect::<Result<_>>()?;
             if !timed.is_empty() {
                 let mut run = summarize(method, goal, &timed, &reference, mode);
-                run.change_rmse = given
-                    .as_ref()
-                    .filter(|_| method.is_update())
-                    .map(|given| median(timed.iter().map(|t| given.mean_square_error(&t.map, mode).root()).collect()));
+                if let Some(given) = given.as_ref().filter(|_| method.is_update()) {
+                    add_change(&mut run, &timed, given, mode);
+                }
                 runs.push(run);
             }
             if let (0, Some(_), Some(first)) = (k, &options.pictures, timed.into_iter().next()) {
@@ -169,10 +169,23 @@ fn summarize(method: Method, goal: Goal, timed: &[Timed], reference: &Reference,
         gain: None,
         gain_cpu: None,
         change_rmse: None,
+        change_rmse_error: None,
+        change_bias: None,
+        change_bias_error: None,
         change_gain: None,
         iterations: published.map(|p| p.0),
         path_length: published.map(|p| p.1),
     }
+}
+
+/// Errors of the change alone, against a [`Reference::given`].
+fn add_change(run: &mut RunReport, timed: &[Timed], given: &Reference, mode: Mode) {
+    let errors: Vec<Measured> = timed.iter().map(|t| given.mean_square_error(&t.map, mode)).collect();
+    run.change_rmse = Some(median(errors.iter().map(|e| e.root()).collect()));
+    run.change_rmse_error = Some(median(errors.iter().map(|e| e.root_error()).collect()));
+    let maps: Vec<&LightMap> = timed.iter().map(|t| &*t.map).collect();
+    let bias = given.mean_square_bias(&maps, mode);
+    (run.change_bias, run.change_bias_error) = (bias.map(|b| b.root()), bias.map(|b| b.root_error()));
 }
 
 /// RMSE of path tracing in the same time over that of each run.
@@ -227,6 +240,9 @@ mod tests {
             gain: None,
             gain_cpu: None,
             change_rmse: None,
+            change_rmse_error: None,
+            change_bias: None,
+            change_bias_error: None,
             change_gain: None,
             iterations: None,
             path_length: None,

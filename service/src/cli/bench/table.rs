@@ -1,6 +1,6 @@
 //! Reports on the terminal.
 
-use rebake::bench::{CaseReport, RunReport, Setup};
+use rebake::bench::{CaseReport, Setup};
 
 use super::super::ui;
 
@@ -45,14 +45,15 @@ pub(super) fn print_case(case: &CaseReport) -> anyhow::Result<()> {
             format!("{:.4}", run.mean_ratio),
             ui::rmse(run.rmse),
             ui::rmse(run.rmse_error),
-            bias(run),
+            bias(run.bias_floor, run.bias_error),
             value(run.estimated_rmse),
             gain(run.gain),
             gain(run.gain_cpu),
         ]))?;
         if let Some(rmse) = run.change_rmse {
             let (rmse, gain) = (ui::rmse(rmse), gain(run.change_gain));
-            let row = ["  its change alone", "", "", "", "", "", &rmse, "", "", "", &gain];
+            let (error, bias) = (value(run.change_rmse_error), bias(run.change_bias, run.change_bias_error));
+            let row = ["  its change alone", "", "", "", "", "", &rmse, &error, &bias, "", &gain];
             ui::out(&ui::faint(&table.row(&row)))?;
         }
     }
@@ -60,8 +61,8 @@ pub(super) fn print_case(case: &CaseReport) -> anyhow::Result<()> {
 }
 
 /// Bias, or what it is below where noise hides it.
-fn bias(run: &RunReport) -> String {
-    match (run.bias_floor, run.bias_error) {
+fn bias(floor: Option<f64>, error: Option<f64>) -> String {
+    match (floor, error) {
         (Some(floor), Some(error)) if floor > 2.0 * error => ui::rmse(floor),
         (Some(floor), Some(error)) => format!("<{}", ui::rmse(floor + 2.0 * error)),
         _ => "–".to_owned(),
