@@ -121,6 +121,11 @@ impl Mixture {
         self.count += 1;
     }
 
+    /// Whether the point lies inside a sphere or next to it.
+    pub fn is_close(&self) -> bool {
+        self.hemisphere > 0.0
+    }
+
     /// Bound on the projected solid angle that the object can cover, of the hemisphere's π.
     pub fn coverage(&self) -> f32 {
         (self.total * FRAC_1_PI).min(1.0)

@@ -18,6 +18,10 @@ use crate::world::{Transition, World};
 /// From this part of the hemisphere on an element gets all samples; less coverage, less to know.
 const FULL_COVERAGE: f32 = 0.15;
 
+/// Samples, over those of others, of elements inside a sphere around a part of what changed or next to it: few they are,
+/// and half of all noise is theirs.
+const CLOSE_SAMPLES: f32 = 4.0;
+
 /// Elements within this many spacings of the boxes around what changed are near (design, section 3.8 a).
 const NEAR_ZONE: f32 = 5.0;
 
@@ -108,7 +112,8 @@ impl<'a> Source<'a> {
         let values = work.map(rows, |_, slot, rays| {
             let from @ (point, n) = world.ray_origin(slot as usize);
             let Some(mixture) = Mixture::new(&self.spheres, point, n) else { return (V::default(), V::default()) };
-            let wanted = full * (mixture.coverage() / FULL_COVERAGE).min(1.0);
+            let wanted =
+                full * if mixture.is_close() { CLOSE_SAMPLES } else { (mixture.coverage() / FULL_COVERAGE).min(1.0) };
             let samples = (wanted.ceil() as u32).max(1);
             let mut rng = Pcg32::new(seed, u64::from(slot));
             let sequence = R2::new(&mut rng);
