@@ -10,7 +10,7 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::rows::NONE;
+use super::rows::{NONE, offsets};
 use super::{Rows, Subset, gmres};
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
@@ -54,11 +54,7 @@ impl Paths<'_> {
             Paths::Each(paths) => paths.max(1) as usize,
             Paths::OfRows(paths) => paths[row].max(1) as usize,
         };
-        let ends = (0..rows).scan(0, |end, row| {
-            *end += of_row(row);
-            Some(*end)
-        });
-        std::iter::once(0).chain(ends).collect()
+        offsets((0..rows).map(of_row))
     }
 }
 
@@ -122,7 +118,7 @@ impl<V: Value> Exchange<V> {
     fn apply(&self, x: &[V]) -> Vec<V> {
         let mut means = self.mean_of_rows(|e| e.row, x);
         for ends in self.rows.neighbours.windows(2) {
-            let rows = ends[0] as usize..ends[1] as usize;
+            let rows = ends[0]..ends[1];
             let paths = |row: usize| (self.offsets[row + 1] - self.offsets[row]) as f32;
             let all = (self.offsets[rows.end] - self.offsets[rows.start]) as f32;
             let mean = rows.clone().map(|row| means[row] * paths(row)).sum::<V>() / all;

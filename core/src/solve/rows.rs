@@ -9,11 +9,11 @@ pub(crate) struct Rows {
     /// Indices into `Subset::slots`, row by row.
     members: Vec<u32>,
     /// Where the members of each row begin, and where the last one's end.
-    starts: Vec<u32>,
+    starts: Vec<usize>,
     /// Row of every index of `Subset::slots`, or `NONE`.
     row_of: Vec<u32>,
     /// Where neighbours begin among the rows, and where the last ones end; empty where every row is on its own.
-    pub(super) neighbours: Vec<u32>,
+    pub(super) neighbours: Vec<usize>,
 }
 
 impl Rows {
@@ -26,20 +26,20 @@ impl Rows {
     pub(crate) fn only(subset: &Subset, wanted: impl Fn(u32) -> bool) -> Rows {
         let count = subset.slots.len();
         let members: Vec<u32> = (0..count as u32).filter(|&i| wanted(subset.slots[i as usize])).collect();
-        let starts = (0..=members.len() as u32).collect();
+        let starts = (0..=members.len()).collect();
         Rows::new(members, starts, count)
     }
 
     /// The same representatives in rows of as many as told, and so many rows that are neighbours.
-    pub(crate) fn shared(&self, counts: impl Iterator<Item = u32>, neighbours: impl Iterator<Item = u32>) -> Rows {
-        let rows = Rows::new(self.members.clone(), ends(counts), self.row_of.len());
-        Rows { neighbours: ends(neighbours), ..rows }
+    pub(crate) fn shared(&self, counts: impl Iterator<Item = usize>, neighbours: impl Iterator<Item = usize>) -> Rows {
+        let rows = Rows::new(self.members.clone(), offsets(counts), self.row_of.len());
+        Rows { neighbours: offsets(neighbours), ..rows }
     }
 
-    fn new(members: Vec<u32>, starts: Vec<u32>, representatives: usize) -> Rows {
+    fn new(members: Vec<u32>, starts: Vec<usize>, representatives: usize) -> Rows {
         let mut row_of = vec![NONE; representatives];
         for (row, ends) in (0..).zip(starts.windows(2)) {
-            members[ends[0] as usize..ends[1] as usize].iter().for_each(|&m| row_of[m as usize] = row);
+            members[ends[0]..ends[1]].iter().for_each(|&m| row_of[m as usize] = row);
         }
         Rows { members, starts, row_of, neighbours: Vec::new() }
     }
@@ -57,7 +57,7 @@ impl Rows {
     /// The representatives of one row.
     #[inline]
     pub(crate) fn members_of(&self, row: usize) -> &[u32] {
-        &self.members[self.starts[row] as usize..self.starts[row + 1] as usize]
+        &self.members[self.starts[row]..self.starts[row + 1]]
     }
 
     /// Row of a representative, or `NONE`.
@@ -68,7 +68,7 @@ impl Rows {
 }
 
 /// Where each of some runs begins, and where the last one ends.
-fn ends(counts: impl Iterator<Item = u32>) -> Vec<u32> {
+pub(super) fn offsets(counts: impl Iterator<Item = usize>) -> Vec<usize> {
     let ends = counts.scan(0, |end, count| {
         *end += count;
         Some(*end)

@@ -37,7 +37,7 @@ const SHARED_WITHIN: f32 = 16.0;
 const SHARED_COSINE: f32 = 0.8;
 
 /// Rows at most that borrow paths of one another.
-const NEIGHBOURS: u32 = 16;
+const NEIGHBOURS: usize = 16;
 
 /// How much each representative needs paths.
 pub(super) struct Allotment {
@@ -84,7 +84,7 @@ impl Allotment {
                 None => shares.push(Share { first: slot, count: 1, paths }),
             }
         }
-        let mut neighbours: Vec<(usize, u32)> = Vec::new();
+        let mut neighbours: Vec<(usize, usize)> = Vec::new();
         for share in &shares {
             match neighbours.last_mut() {
                 Some((first, count)) if *count < NEIGHBOURS && are_near(world, *first, share.first) => *count += 1,
@@ -100,7 +100,7 @@ impl Allotment {
 struct Share {
     /// Slot of the first of them.
     first: usize,
-    count: u32,
+    count: usize,
     /// That are asked for.
     paths: f64,
 }
@@ -236,17 +236,35 @@ mod tests {
         World::new(Scene::from_objects(objects), &options).expect("a room")
     }
 
-    /// Means and variances over runs of what every row gathers.
-    fn gathered(world: &World, subset: &Subset, change: &[Vec3], rows: &Arc<Rows>, paths: Paths) -> Vec<(f64, f64)> {
+    /// A change near the box, and its amount.
+    fn change(world: &World) -> (Vec<Vec3>, Vec<f32>) {
+        let near = |p: &Vec3| f32::from(p.distance(Vec3::new(1.15, 0.0, 1.15)) < 0.8);
+        let amounts: Vec<f32> = world.positions().iter().map(near).collect();
+        (amounts.iter().map(|amount| Vec3::splat(*amount)).collect(), amounts)
+    }
+
+    /// One matrix, with what its rows gather of a change.
+    fn traced(
+        world: &World,
+        subset: &Subset,
+        change: &[Vec3],
+        rows: &Arc<Rows>,
+        paths: Paths,
+        seed: u64,
+    ) -> Exchange<Vec3> {
         let radiance = |_: u32, s: &Surfel, _: bool, _: &mut Pcg32, _: &mut u64| {
             s.elements.map_or(Vec3::ZERO, |e| s.interpolate(e, change) * s.albedo)
         };
         let source = Source { radiance, looked_up: change, sky: Vec3::ZERO, spots: None };
-        let work = Work::new(&Unobserved);
+        Exchange::trace(world, subset, rows, &source, paths, seed, &Work::new(&Unobserved)).expect("nobody cancels")
+    }
+
+    /// Means and variances over runs of what every row gathers.
+    fn gathered(world: &World, subset: &Subset, change: &[Vec3], rows: &Arc<Rows>, paths: Paths) -> Vec<(f64, f64)> {
         let mut sums = vec![(0.0, 0.0); rows.len()];
         for seed in 0..RUNS {
-            let found = Exchange::trace(world, subset, rows, &source, paths, seed, &work).expect("nobody cancels");
-            for (sum, light) in sums.iter_mut().zip(found.first) {
+            let found = traced(world, subset, change, rows, paths, seed).first;
+            for (sum, light) in sums.iter_mut().zip(found) {
                 *sum = (sum.0 + f64::from(light.x), sum.1 + f64::from(light.x * light.x));
             }
         }
@@ -260,9 +278,7 @@ mod tests {
     fn local_changes_need_fewer_paths_for_the_same_noise() {
         let world = room(0.5);
         let subset = Subset::new(&world);
-        let near = |p: &Vec3| p.distance(Vec3::new(1.15, 0.0, 1.15)) < 0.8;
-        let change: Vec<Vec3> = world.positions().iter().map(|p| Vec3::splat(f32::from(near(p)))).collect();
-        let amounts: Vec<f32> = change.iter().map(|c| c.x).collect();
+        let (change, amounts) = change(&world);
         let all = Arc::new(Rows::all(&subset));
         const EACH: u32 = 16;
         let (rows, paths) = Allotment::new(&world, &subset, &amounts).rows(&world, &subset, &all, EACH);
@@ -302,22 +318,15 @@ mod tests {
     fn what_rows_borrow_keeps_light_from_going_round() {
         let world = room(0.95);
         let subset = Subset::new(&world);
-        let near = |p: &Vec3| p.distance(Vec3::new(1.15, 0.0, 1.15)) < 0.8;
-        let change: Vec<Vec3> = world.positions().iter().map(|p| Vec3::splat(f32::from(near(p)))).collect();
-        let amounts: Vec<f32> = change.iter().map(|c| c.x).collect();
+        let (change, amounts) = change(&world);
         let all = Arc::new(Rows::all(&subset));
         let bounces = |rows: &Arc<Rows>, paths: Paths, seed: u64| {
-            let radiance = |_: u32, s: &Surfel, _: bool, _: &mut Pcg32, _: &mut u64| {
-                s.elements.map_or(Vec3::ZERO, |e| s.interpolate(e, &change) * s.albedo)
-            };
-            let source = Source { radiance, looked_up: &change, sky: Vec3::ZERO, spots: None };
-            let work = Work::new(&Unobserved);
-            let traced = Exchange::trace(&world, &subset, rows, &source, paths, seed, &work).expect("nobody cancels");
+            let traced = traced(&world, &subset, &change, rows, paths, seed);
             traced.to_representatives(&subset, &traced.all_bounces(&traced.first))
         };
         let exact = bounces(&all, Paths::Each(3000), 1);
         let (rows, paths) = Allotment::new(&world, &subset, &amounts).rows(&world, &subset, &all, 1);
-        let alone = all.shared((0..rows.len()).map(|row| rows.members_of(row).len() as u32), std::iter::empty());
+        let alone = all.shared((0..rows.len()).map(|row| rows.members_of(row).len()), std::iter::empty());
         let areas = subset.areas(&world);
         // Squared error, by area, over the exact solution squared; the mean over its mean, and that one's standard error.
         let judged = |rows: Rows| {
