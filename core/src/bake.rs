@@ -1,6 +1,6 @@
 //! Light maps from scratch, by the propagator of the updates: the source is the direct light.
 
-use std::cell::{OnceCell, RefCell};
+use std::cell::OnceCell;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -16,12 +16,15 @@ use crate::lightmap::LightMap;
 use crate::random::subseed;
 use crate::rounds::{Estimate, First, Goal, Phase, Round, Rounds};
 use crate::solve::{Exchange, Paths, Rows, Subset};
-use crate::transport::direct::direct_of;
-use crate::transport::{Effort, Field, Hint, Value, Work, gather};
+use crate::transport::direct::add_direct;
+use crate::transport::{Effort, Field, Hint, Value, Work, add_gathered, blacken, for_slots};
 use crate::world::World;
 
 /// Samples per representative and round: at least, at most.
 const SOLVE_SAMPLES: (u32, u32) = (16, 64);
+
+/// Slots per task where little is done for each.
+const CHUNK: usize = 4096;
 
 /// Bakes a light map. Progressive: the observer gets a snapshot after every round. Ends by the budget or when the
 /// observer plans no further round; the same inputs, seed and plan give the same bits. Groups of lights
@@ -43,7 +46,7 @@ pub(crate) fn bake_map(
     work: &Work,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
     if headers.is_empty() {
-        let finish = |stack: Stack<Vec3>| improve(stack.into_map());
+        let finish = |stack: &mut Stack<Vec3>| improve(stack.take_map());
         return bake_stack(world, &[Vec3::ONE], &finish, goal, work);
     }
     let weights = weights_of(headers, &world.scene);
@@ -72,7 +75,7 @@ fn bake_headers<V: Value>(
     goal: &Goal,
     work: &Work,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
-    let finish = |stack: Stack<V>| finish(stack.into_computed(headers));
+    let finish = |stack: &mut Stack<V>| finish(stack.computed(headers));
     bake_stack(world, weights_within(weights), &finish, goal, work)
 }
 
@@ -80,27 +83,28 @@ fn bake_headers<V: Value>(
 fn bake_stack<V: Value>(
     world: &World,
     weights: &[Vec3],
-    finish: &dyn Fn(Stack<V>) -> LightMap,
+    finish: &dyn Fn(&mut Stack<V>) -> LightMap,
     goal: &Goal,
     work: &Work,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
     let baker = Baker::new(world, weights, goal.seed, work);
     let first = goal.focus().map(|focus| baker.look_first(focus, finish, goal)).transpose()?.flatten();
+    let mut stack = Stack::default();
     let compose = |sum: &Accumulator<V>| {
-        let mut stack = baker.compose(sum);
+        baker.compose(sum, &mut stack);
         if let Some(first) = &first {
             first.merge(&mut stack, sum.samples(), baker.slots.iter().copied(), None);
             stack.fill_invalid(&world.validity);
         }
-        finish(stack)
+        finish(&mut stack)
     };
     let stated = |map: &LightMap| Some(map.estimated_rmse(world.areas()));
     let phase = if first.is_some() { Phase::Rest } else { Phase::Whole };
     let Goal { budget, seed, .. } = *goal;
     let rounds = Rounds { world, weights, budget, seed, work, phase };
-    let round = |r: &Round<V>| {
+    let round = |r: &Round<V>, out: &mut Estimate<V>| {
         baker.show_estimate(r, finish, goal)?;
-        baker.round(r)
+        baker.round(r, out)
     };
     rounds.run(stated, |_| false, round, compose)
 }
@@ -125,18 +129,17 @@ impl<'a> Baker<'a> {
         Baker { world, slots, subset, rows, hint: OnceCell::new(), weights, seed: subseed(seed, 0x4006), work }
     }
 
-    /// The mean of all rounds.
-    pub(crate) fn compose<V: Value>(&self, sum: &Accumulator<V>) -> Stack<V> {
-        let mut stack = Stack::mean_of(sum);
-        stack.fill_invalid(&self.world.validity);
-        stack
+    /// Writes the mean of all rounds over what `out` holds.
+    pub(crate) fn compose<V: Value>(&self, sum: &Accumulator<V>, out: &mut Stack<V>) {
+        out.write_mean(sum, None);
+        out.fill_invalid(&self.world.validity);
     }
 
     /// Bakes what is looked at before the rest, which is shown as the solution on the subset has it.
     fn look_first<V: Value>(
         &self,
         focus: &Focus,
-        finish: &dyn Fn(Stack<V>) -> LightMap,
+        finish: &dyn Fn(&mut Stack<V>) -> LightMap,
         goal: &Goal,
     ) -> Result<Option<First<V>>, Canceled> {
         let is_seen = focus.covers(self.world);
@@ -144,28 +147,29 @@ impl<'a> Baker<'a> {
         if seen.is_empty() {
             return Ok(None);
         }
-        let last = RefCell::new(None);
+        let mut last = None;
         let compose = |sum: &Accumulator<V>| {
-            let stack = self.compose(sum);
-            last.replace(Some((stack.clone(), sum.samples())));
-            finish(stack)
+            let mut stack = Stack::default();
+            self.compose(sum, &mut stack);
+            last = Some((stack.clone(), sum.samples()));
+            finish(&mut stack)
         };
         let (budget, seed) = (&goal.first_budget(), goal.first_seed());
         let (world, weights) = (self.world, self.weights);
         let rounds = Rounds { world, weights, budget, seed, work: self.work, phase: Phase::Part };
-        let round = |r: &Round<V>| {
+        let round = |r: &Round<V>, out: &mut Estimate<V>| {
             self.show_estimate(r, finish, goal)?;
-            self.round_at(r, &seen)
+            self.round_at(r, &seen, out)
         };
         rounds.run(|_| None, |_| false, round, compose)?;
-        Ok(last.take().map(|(stack, samples)| First::evenly(stack, &is_seen, samples)))
+        Ok(last.map(|(stack, samples)| First::evenly(stack, &is_seen, samples)))
     }
 
     /// Shows what is known of direct light beforehand, with an ambient term for the rest, before anything else is known.
     fn show_estimate<V: Value>(
         &self,
         round: &Round<V>,
-        finish: &dyn Fn(Stack<V>) -> LightMap,
+        finish: &dyn Fn(&mut Stack<V>) -> LightMap,
         goal: &Goal,
     ) -> Result<(), Canceled> {
         let observer = self.work.observer();
@@ -175,58 +179,57 @@ impl<'a> Baker<'a> {
         (round.begin)(Pass::Direct, 0.0);
         let direct = Hint::direct(self.world, &self.slots, self.seed, self.work)?;
         self.hint_of(&direct);
-        let stack = with_ambient(self.world, direct, self.weights.len(), self.seed, self.work)?;
+        let mut stack = with_ambient(self.world, direct, self.weights.len(), self.seed, self.work)?;
         let round_samples = round.samples;
         let rays = self.work.rays();
-        observer
-            .estimate(&Arc::new(finish(stack)), &Progress { round_samples, rays, ..Progress::nothing(Pass::Direct) });
+        observer.estimate(
+            &Arc::new(finish(&mut stack)),
+            &Progress { round_samples, rays, ..Progress::nothing(Pass::Direct) },
+        );
         Ok(())
     }
 
     /// One independent estimate of direct and indirect light.
-    pub(crate) fn round<V: Value>(&self, round: &Round<V>) -> Result<Estimate<V>, Canceled> {
-        self.round_at(round, &self.slots)
+    pub(crate) fn round<V: Value>(&self, round: &Round<V>, out: &mut Estimate<V>) -> Result<(), Canceled> {
+        self.round_at(round, &self.slots, out)
     }
 
     /// The same, with indirect light gathered in some slots only; elsewhere it is that of the solution on the subset.
-    fn round_at<V: Value>(&self, round: &Round<V>, gathered: &[u32]) -> Result<Estimate<V>, Canceled> {
+    fn round_at<V: Value>(&self, round: &Round<V>, gathered: &[u32], out: &mut Estimate<V>) -> Result<(), Canceled> {
         let (world, work) = (self.world, self.work);
+        out.blacken(world.slots());
+        let Estimate { direct, indirect } = out;
         (round.begin)(Pass::Direct, 0.0);
         // Earlier rounds choose the number of samples, never what they find: the mean stays free of bias.
         let effort = match round.sum.knows_variance() {
-            true => Effort::new(world, &round.sum.variance()),
+            true => Effort::new(world, &round.sum.variance().collect::<Vec<f32>>()),
             false => Effort::default(),
         };
-        let direct: Vec<V> = self.scatter(&direct_of(world, &self.slots, round.samples, &effort, round.seed, work)?);
+        add_direct(world, &self.slots, (round.samples, &effort), round.seed, work, direct)?;
+        world.validity.fill(direct);
         (round.begin)(Pass::Propagation, 0.25);
         // Each round solves anew, from its own direct light: rounds stay independent, so that their scatter is the
         // error of their mean, and since all is linear the mean is the solution of the mean direct light.
-        let mut filled_direct = direct.clone();
-        world.validity.fill(&mut filled_direct);
-        let (exchange, bounces) = self.solve(&filled_direct, round)?;
-        let total: Vec<V> = filled_direct.par_iter().zip(&bounces).map(|(d, b)| *d + *b).collect();
+        let (exchange, bounces) = self.solve(direct, round)?;
+        let sum = direct.par_iter().zip(&bounces).with_min_len(CHUNK);
+        let total: Vec<V> = sum.map(|(d, b)| *d + *b).collect();
         let hint = self.hint::<V>()?;
-        let field = Field { total: &total, direct: &filled_direct, rough: &hint.rough };
+        let field = Field { total: &total, direct, rough: &hint.rough };
+        let source = field.source(world, hint.spots.as_ref());
         (round.begin)(Pass::FinalGather, 0.4);
-        let found = gather(
-            world,
-            &field.source(world, hint.spots.as_ref()),
-            gathered,
-            round.samples,
-            &effort,
-            round.seed,
-            work,
-        )?;
-        let mut indirect = vec![V::default(); world.slots()];
-        self.slots.iter().for_each(|&slot| indirect[slot as usize] = bounces[slot as usize]);
-        gathered.iter().zip(&found).for_each(|(&slot, light)| indirect[slot as usize] = *light);
+        add_gathered(world, &source, gathered, round.samples, &effort, round.seed, work, indirect)?;
+        drop(source);
         // The gather is better than the solution that it looked up: at all elements, not on a subset. What it found anew
         // has bounces of its own.
-        let mut residual: Vec<V> = indirect.iter().zip(&bounces).map(|(i, b)| *i - *b).collect();
+        let mut residual = total;
+        blacken(&mut residual, world.slots());
+        for_slots(gathered, &mut residual, |slot, r| *r = indirect[slot as usize] - bounces[slot as usize]);
         world.validity.fill(&mut residual);
-        let missing = self.spread(&exchange, &exchange.settle(&residual));
-        self.slots.iter().for_each(|&slot| indirect[slot as usize] += missing[slot as usize]);
-        Ok((direct, indirect))
+        let missing = exchange.to_representatives(&self.subset, &exchange.settle(&residual));
+        for_slots(&self.slots, indirect, |slot, light| *light = bounces[slot as usize] + residual[slot as usize]);
+        let is_computed = |slot: u32| world.areas()[slot as usize] > 0.0 && world.is_valid(slot as usize);
+        self.subset.add_where(is_computed, &missing, indirect);
+        Ok(())
     }
 
     /// All bounces of the direct light, on the subset and interpolated to all slots.
@@ -244,7 +247,8 @@ impl<'a> Baker<'a> {
     }
 
     fn spread<V: Value>(&self, exchange: &Exchange<V>, values: &[V]) -> Vec<V> {
-        let mut field = self.subset.interpolate(&exchange.to_representatives(&self.subset, values));
+        let mut field = Vec::new();
+        self.subset.interpolate(&exchange.to_representatives(&self.subset, values), &mut field);
         self.world.validity.fill(&mut field);
         field
     }
@@ -260,11 +264,5 @@ impl<'a> Baker<'a> {
 
     fn hint_of<V: Value>(&self, direct: &[V]) -> &Hint {
         self.hint.get_or_init(|| Hint::new(self.world, direct, self.weights, self.seed, self.work))
-    }
-
-    fn scatter<V: Value>(&self, values: &[V]) -> Vec<V> {
-        let mut out = vec![V::default(); self.world.slots()];
-        self.slots.iter().zip(values).for_each(|(&slot, v)| out[slot as usize] = *v);
-        out
     }
 }

@@ -96,7 +96,8 @@ impl DragBasis {
         self.slots.iter().zip(found).for_each(|(&slot, light)| direct[slot as usize] = light);
         world.validity.fill(&mut direct);
         let bounces = self.exchange.settle(&direct);
-        let mut indirect = self.subset.interpolate(&self.exchange.to_representatives(&self.subset, &bounces));
+        let mut indirect = Vec::new();
+        self.subset.interpolate(&self.exchange.to_representatives(&self.subset, &bounces), &mut indirect);
         world.validity.fill(&mut indirect);
         Ok(Layer {
             name: header.name.clone(),

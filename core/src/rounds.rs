@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use rayon::prelude::*;
+
 use crate::accumulate::Accumulator;
 use crate::focus::Focus;
 use crate::importance::Importance;
@@ -9,14 +11,42 @@ use crate::job::{Budget, Canceled, Pass, Progress};
 use crate::layers::Stack;
 use crate::lightmap::LightMap;
 use crate::random::subseed;
-use crate::transport::{Value, Work};
+use crate::transport::{Value, Work, blacken};
 use crate::world::World;
 
 /// Samples per element of the first two rounds; every later round doubles the total.
 const FIRST_SAMPLES: u32 = 4;
 
-/// Direct and indirect light per slot, one independent estimate.
-pub(crate) type Estimate<V> = (Vec<V>, Vec<V>);
+/// Slots per task.
+const CHUNK: usize = 4096;
+
+/// Direct and indirect light per slot: values, or how they change.
+#[derive(Clone, Default)]
+pub(crate) struct Estimate<V> {
+    pub direct: Vec<V>,
+    pub indirect: Vec<V>,
+}
+
+impl<V: Value> Estimate<V> {
+    /// No light in so many slots, in the memory that is there: fresh memory takes longer than most of what is done with it.
+    pub(crate) fn blacken(&mut self, slots: usize) {
+        blacken(&mut self.direct, slots);
+        blacken(&mut self.indirect, slots);
+    }
+
+    /// Black in some slots.
+    pub(crate) fn without(mut self, slots: &[bool]) -> Estimate<V> {
+        for slot in slots.iter().enumerate().filter(|(_, out)| **out).map(|(slot, _)| slot) {
+            (self.direct[slot], self.indirect[slot]) = (V::default(), V::default());
+        }
+        self
+    }
+
+    /// Adds indirect light.
+    pub(crate) fn add_indirect(&mut self, light: &[V]) {
+        self.indirect.par_iter_mut().zip(light).with_min_len(CHUNK).for_each(|(i, b)| *i += *b);
+    }
+}
 
 /// What one round is told.
 #[derive(Clone, Copy)]
@@ -121,11 +151,12 @@ impl Rounds<'_> {
     /// Runs them for a part of the map that is shown when it is done; none where the observer ends it before.
     pub(crate) fn run_quietly<V: Value>(
         &self,
-        mut round: impl FnMut(&Round<V>) -> Result<Estimate<V>, Canceled>,
+        mut round: impl FnMut(&Round<V>, &mut Estimate<V>) -> Result<(), Canceled>,
     ) -> Result<Option<Accumulator<V>>, Canceled> {
         let (budget, work) = (self.budget, self.work);
         let observer = work.observer();
-        let mut sum = Accumulator::new(self.world.slots(), self.weights, self.world.stated());
+        let mut sum = Accumulator::new(self.weights, self.world.stated());
+        let mut light = Estimate::default();
         for index in 0.. {
             let left = budget.samples_per_element.saturating_sub(sum.samples());
             if left == 0 {
@@ -149,25 +180,25 @@ impl Rounds<'_> {
                 return Ok(None);
             }
             let begin = |pass, fraction| observer.progress(&progress(pass, samples, fraction));
-            let (direct, indirect) =
-                round(&Round { samples, seed: subseed(self.seed, index), sum: &sum, begin: &begin })?;
-            sum.add(samples, &direct, &indirect);
+            round(&Round { samples, seed: subseed(self.seed, index), sum: &sum, begin: &begin }, &mut light)?;
+            sum.add(samples, &mut light);
         }
         Ok(Some(sum))
     }
 
-    /// Runs them. `round` gives one independent estimate (direct, indirect), `compose` makes a light map of all, `stated`
+    /// Runs them. `round` writes one independent estimate over the one before it, `compose` makes a light map of all, `stated`
     /// tells its error, `enough` whether more rounds are of no use.
     pub(crate) fn run<V: Value>(
         &self,
         stated: impl Fn(&LightMap) -> Option<f32>,
         enough: impl Fn(&Accumulator<V>) -> bool,
-        mut round: impl FnMut(&Round<V>) -> Result<Estimate<V>, Canceled>,
-        compose: impl Fn(&Accumulator<V>) -> LightMap,
+        mut round: impl FnMut(&Round<V>, &mut Estimate<V>) -> Result<(), Canceled>,
+        mut compose: impl FnMut(&Accumulator<V>) -> LightMap,
     ) -> Result<Option<Arc<LightMap>>, Canceled> {
         let Rounds { budget, work, phase, .. } = *self;
         let observer = work.observer();
-        let mut sum = Accumulator::new(self.world.slots(), self.weights, self.world.stated());
+        let mut sum = Accumulator::new(self.weights, self.world.stated());
+        let mut light = Estimate::default();
         let mut last: Option<Arc<LightMap>> = None;
         let mut estimated_rmse = None;
         for index in 0.. {
@@ -191,9 +222,8 @@ impl Rounds<'_> {
                 break;
             }
             let begin = |pass, fraction| observer.progress(&progress(pass, samples, fraction));
-            let (direct, indirect) =
-                round(&Round { samples, seed: subseed(self.seed, index), sum: &sum, begin: &begin })?;
-            sum.add(samples, &direct, &indirect);
+            round(&Round { samples, seed: subseed(self.seed, index), sum: &sum, begin: &begin }, &mut light)?;
+            sum.add(samples, &mut light);
             let map = Arc::new(compose(&sum));
             if sum.knows_variance() {
                 estimated_rmse = stated(&map);

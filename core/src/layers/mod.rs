@@ -22,7 +22,7 @@ use crate::scene::Scene;
 use crate::world::{Emitters, World};
 
 pub(crate) use plan::{Header, groups_of, headers_of_layers};
-pub(crate) use stack::{Computed, Stack, weights_within};
+pub(crate) use stack::{Computed, Stack, total_of_layers, weights_within};
 pub(crate) use update::{moved_layers, update_layers, with_layers};
 
 /// A map has at most so many layers. Where more lights are relit one by one, those that are left share a layer.

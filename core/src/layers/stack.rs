@@ -1,5 +1,6 @@
 //! Layers as transport computes them: side by side per slot.
 
+use std::ops::Add;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -14,13 +15,18 @@ use crate::world::{Transition, Validity};
 /// Slots per task.
 const CHUNK: usize = 4096;
 
-/// Variances of some layers, those of a slot side by side.
-fn interleaved(layers: &[Arc<Layer>], len: usize) -> Vec<f32> {
-    let mut out = vec![0.0; len * layers.len()];
-    out.par_chunks_mut(layers.len()).enumerate().with_min_len(CHUNK).for_each(|(slot, out)| {
-        out.iter_mut().zip(layers).for_each(|(out, layer)| *out = layer.variance[slot]);
-    });
-    out
+/// What layers tell of a slot, side by side.
+#[inline]
+fn side_by_side<V: Value>(layers: &[Arc<Layer>], of: impl Fn(&Layer) -> Vec3) -> V {
+    let mut value = V::default();
+    layers.iter().zip(0..).for_each(|(layer, k)| value.add_to_layer(k, of(layer)));
+    value
+}
+
+/// All light of some layers, direct and indirect, in the slots that they have.
+pub(crate) fn total_of_layers<V: Value>(layers: &[Arc<Layer>], slots: usize) -> Vec<V> {
+    let total = |slot: usize| side_by_side(layers, |layer| layer.direct[slot] + layer.indirect[slot]);
+    (0..slots).into_par_iter().with_min_len(CHUNK).map(total).collect()
 }
 
 /// What lies side by side, `per_slot` items a slot, layer by layer. All layers of some slots are taken out at once: read
@@ -68,7 +74,7 @@ pub(crate) fn weights_within(weights: &[Vec3]) -> &[Vec3] {
 }
 
 /// Light of some layers per slot.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Stack<V> {
     /// Straight from lights.
     pub direct: Vec<V>,
@@ -84,16 +90,17 @@ impl Stack<Vec3> {
     /// All light of a map together, in the slots of the world after a transition.
     pub(crate) fn of_whole(map: &LightMap, transition: &Transition) -> Stack<Vec3> {
         Stack {
-            direct: transition.carry(&map.direct, 1),
-            indirect: transition.carry(&map.indirect, 1),
-            variance: transition.carry(&map.variance, 1),
+            direct: transition.carry(&map.direct),
+            indirect: transition.carry(&map.indirect),
+            variance: transition.carry(&map.variance),
             layer_variance: Vec::new(),
         }
     }
 
     /// A map without layers.
-    pub(crate) fn into_map(self) -> LightMap {
-        LightMap { direct: self.direct, indirect: self.indirect, variance: self.variance, layers: Vec::new() }
+    pub(crate) fn take_map(&mut self) -> LightMap {
+        let Stack { direct, indirect, variance, .. } = std::mem::take(self);
+        LightMap { direct, indirect, variance, layers: Vec::new() }
     }
 }
 
@@ -108,29 +115,32 @@ impl<V: Value> Stack<V> {
         }
     }
 
-    /// Of layers of `len` slots, whose weighted sum has `variance`; for a single one its own is taken.
-    pub(crate) fn of_layers(layers: &[Arc<Layer>], variance: &[f32], len: usize) -> Stack<V> {
-        let side_by_side = |part: fn(&Layer) -> &[Vec3]| -> Vec<V> {
-            let value = |slot: usize| {
-                let mut value = V::default();
-                layers.iter().zip(0..).for_each(|(layer, k)| value.add_to_layer(k, part(layer)[slot]));
-                value
-            };
-            (0..len).into_par_iter().with_min_len(CHUNK).map(value).collect()
+    /// Of the layers of a map whose weighted sum has `variance` (for a single one its own is taken), in the slots of the
+    /// world after a transition: old values where elements stay, zero where they go or come.
+    pub(crate) fn of_layers(layers: &[Arc<Layer>], variance: &[f32], transition: &Transition) -> Stack<V> {
+        let carried = |part: fn(&Layer) -> &[Vec3]| -> Vec<V> {
+            transition.carry_each(|slot| side_by_side(layers, |layer| part(layer)[slot]))
         };
-        let many = layers.len() > 1;
-        Stack {
-            direct: side_by_side(|layer| &layer.direct),
-            indirect: side_by_side(|layer| &layer.indirect),
-            variance: if many { variance.to_vec() } else { layers.iter().flat_map(|l| l.variance.clone()).collect() },
-            layer_variance: if many { interleaved(layers, len) } else { Vec::new() },
-        }
+        let mut layer_variance = Vec::new();
+        let variance = match layers {
+            [layer] => &layer.variance,
+            _ => {
+                layer_variance = vec![0.0; transition.after.slots() * layers.len()];
+                let slots = layer_variance.par_chunks_mut(layers.len()).enumerate().with_min_len(CHUNK);
+                slots.filter(|(slot, _)| transition.keeps(*slot)).for_each(|(slot, out)| {
+                    out.iter_mut().zip(layers).for_each(|(out, layer)| *out = layer.variance[slot]);
+                });
+                variance
+            }
+        };
+        let (direct, indirect) = (carried(|layer| &layer.direct), carried(|layer| &layer.indirect));
+        Stack { direct, indirect, variance: transition.carry(variance), layer_variance }
     }
 
     /// The layers, with their headers.
-    pub(crate) fn into_computed(self, headers: &[Header]) -> Computed {
+    pub(crate) fn computed(&self, headers: &[Header]) -> Computed {
         let layers = self.to_layers(headers);
-        Computed { layers, variance: (headers.len() > 1).then_some(self.variance) }
+        Computed { layers, variance: (headers.len() > 1).then(|| self.variance.clone()) }
     }
 
     fn to_layers(&self, headers: &[Header]) -> Vec<Arc<Layer>> {
@@ -149,39 +159,23 @@ impl<V: Value> Stack<V> {
         headers.iter().enumerate().map(of).collect()
     }
 
-    /// In the slots of the world after a transition: old values where elements stay, zero where they go or come.
-    pub(crate) fn carried_over(self, transition: &Transition) -> Stack<V> {
-        if transition.keeps_slots() {
-            return self;
+    /// Writes the mean of all rounds, with its variance, over what it holds; added to another, independent one.
+    pub(crate) fn write_mean(&mut self, sum: &Accumulator<V>, to: Option<&Stack<V>>) {
+        fn write<T: Add<Output = T> + Copy + Send + Sync>(
+            values: impl IndexedParallelIterator<Item = T>,
+            to: Option<&[T]>,
+            out: &mut Vec<T>,
+        ) {
+            match to {
+                Some(to) => values.zip(to).with_min_len(CHUNK).map(|(a, b)| a + *b).collect_into_vec(out),
+                None => values.with_min_len(CHUNK).collect_into_vec(out),
+            }
         }
-        let layers = self.layers_of_variance();
-        Stack {
-            direct: transition.carry(&self.direct, 1),
-            indirect: transition.carry(&self.indirect, 1),
-            variance: transition.carry(&self.variance, 1),
-            layer_variance: transition.carry(&self.layer_variance, layers),
-        }
-    }
-
-    /// The mean of all rounds, with its variance.
-    pub(crate) fn mean_of(sum: &Accumulator<V>) -> Stack<V> {
-        Stack {
-            direct: sum.direct(),
-            indirect: sum.indirect(),
-            variance: sum.variance(),
-            layer_variance: sum.layer_variance(),
-        }
-    }
-
-    /// Adds another, independent one.
-    pub(crate) fn add(&mut self, other: &Stack<V>) {
-        fn add<T: std::ops::AddAssign + Copy + Send + Sync>(a: &mut [T], b: &[T]) {
-            a.par_iter_mut().zip(b).with_min_len(CHUNK).for_each(|(a, b)| *a += *b);
-        }
-        add(&mut self.direct, &other.direct);
-        add(&mut self.indirect, &other.indirect);
-        add(&mut self.variance, &other.variance);
-        add(&mut self.layer_variance, &other.layer_variance);
+        let mean = sum.mean();
+        write(mean.direct.par_iter().copied(), to.map(|to| &*to.direct), &mut self.direct);
+        write(mean.indirect.par_iter().copied(), to.map(|to| &*to.indirect), &mut self.indirect);
+        write(sum.variance(), to.map(|to| &*to.variance), &mut self.variance);
+        write(sum.layer_variance(), to.map(|to| &*to.layer_variance), &mut self.layer_variance);
     }
 
     /// Takes a part (slot, weight) of another in some slots. Both hold the noise of `shared`, and beside it their own.

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::plan::{Header, Plan, wants_layers};
 use super::regroup::{Pieces, renamed};
-use super::{Computed, Layer, Stack, correlation, weights_of, weights_within, whole, whole_with};
+use super::{Computed, Layer, Stack, correlation, total_of_layers, weights_of, weights_within, whole, whole_with};
 use crate::bake::bake_layers;
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer, Pass, Progress};
@@ -210,15 +210,14 @@ fn run_change<V: Value>(
     finish: &dyn Fn(Computed) -> LightMap,
 ) -> Result<Option<Updated>, Canceled> {
     let around: Vec<Vec3> = (0..map.len()).into_par_iter().map(|slot| map.total(slot)).collect();
-    let around = transition.carry(&around, 1);
-    let old = Stack::<V>::of_layers(&change.old, &map.variance, transition.before.slots());
+    let around = transition.carry(&around);
     let stage = Stage {
         transition: change.transition,
-        before_total: old.total(),
-        old: old.carried_over(change.transition),
+        before_total: total_of_layers(&change.old, transition.before.slots()),
+        old: Stack::<V>::of_layers(&change.old, &map.variance, change.transition),
         weights: weights_within(&change.weights),
         around: Some(&around),
-        finish: &|stack: Stack<V>| finish(stack.into_computed(&change.headers)),
+        finish: &|stack: &mut Stack<V>| finish(stack.computed(&change.headers)),
     };
     run_stage(stage, goal, work)
 }

@@ -23,19 +23,25 @@ const fn chunk<V>() -> usize {
     CHUNK_BYTES / size_of::<V>()
 }
 
+/// Elements whose products are summed in single precision before the sum is widened.
+const NARROW: usize = 16;
+
 /// Solves `x − T x = b` from `x = 0` until the residual is at most `tolerance` of `b` in every layer and channel.
 pub(super) fn solve<V: Value>(apply: impl Fn(&[V]) -> Vec<V>, b: &[V], tolerance: f64) -> Vec<V> {
     let target = norm(b).map(|n| n * tolerance);
     let mut x = vec![V::default(); b.len()];
     let mut residual = b.to_vec();
     for _ in 0..MAX_RESTARTS {
-        if is_within::<V>(norm(&residual), target) {
+        let size = norm(&residual);
+        if is_within::<V>(size, target) {
             break;
         }
-        let step = cycle(&apply, &residual, target);
-        axpy(&mut x, V::Wide::splat(DVec3::ONE), &step);
-        let t = apply(&x);
-        residual.par_iter_mut().zip(b).zip(&x).zip(&t).for_each(|(((r, b), x), t)| *r = *b - *x + *t);
+        let (weights, basis) = cycle(&apply, residual, size, target);
+        add_scaled(&mut x, &weights, &basis);
+        residual = apply(&x);
+        let len = chunk::<V>();
+        let terms = residual.par_iter_mut().zip(b).zip(&x).with_min_len(len);
+        terms.for_each(|((r, b), x)| *r = *b - *x + *r);
     }
     x
 }
@@ -44,24 +50,24 @@ fn is_within<V: Value>(values: V::Wide, limits: V::Wide) -> bool {
     values.all(limits, |v, limit| v.abs().cmple(limit).all())
 }
 
-/// One cycle: the step that makes the residual least over the Krylov space.
-fn cycle<V: Value>(apply: &impl Fn(&[V]) -> Vec<V>, residual: &[V], target: V::Wide) -> Vec<V> {
-    let beta = norm(residual);
-    let mut basis = vec![scaled(residual, beta.map(inverse))];
+/// One cycle: the weights of Krylov vectors that make the residual, whose norm is `beta`, least over their space.
+/// Orthogonalised as classical Gram-Schmidt does it, all vectors in one pass: the residual is computed anew in the end.
+fn cycle<V: Value>(
+    apply: &impl Fn(&[V]) -> Vec<V>,
+    residual: Vec<V>,
+    beta: V::Wide,
+    target: V::Wide,
+) -> (Vec<V::Wide>, Vec<Vec<V>>) {
+    let mut basis = vec![residual];
+    scale(&mut basis[0], beta.map(inverse));
     // Column j of the Hessenberg matrix after Givens rotations, and the rotated right-hand side.
     let mut columns: Vec<Vec<V::Wide>> = Vec::new();
     let mut rotations: Vec<(V::Wide, V::Wide)> = Vec::new();
     let mut right = vec![beta];
     for j in 0..RESTART {
-        let t = apply(&basis[j]);
-        let mut w: Vec<V> = basis[j].par_iter().zip(&t).map(|(v, t)| *v - *t).collect();
-        let mut column = Vec::with_capacity(j + 2);
-        for v in &basis {
-            let h = dot(v, &w);
-            axpy(&mut w, h.map(|h| -h), v);
-            column.push(h);
-        }
-        let next = norm(&w);
+        let mut w = apply(&basis[j]);
+        let mut column = subtract_and_project(&basis, &mut w);
+        let next = orthogonalise(&mut w, &column, &basis);
         for (i, &(c, s)) in rotations.iter().enumerate() {
             let (above, below) = (column[i], column[i + 1]);
             column[i] = c.times(above).plus(s.times(below));
@@ -80,14 +86,10 @@ fn cycle<V: Value>(apply: &impl Fn(&[V]) -> Vec<V>, residual: &[V], target: V::W
         if is_within::<V>(right[j + 1], target) {
             break;
         }
-        basis.push(scaled(&w, next.map(inverse)));
+        scale(&mut w, next.map(inverse));
+        basis.push(w);
     }
-    let weights = back_substitute(&columns, &right);
-    let mut step = vec![V::default(); residual.len()];
-    for (weight, v) in weights.iter().zip(&basis) {
-        axpy(&mut step, *weight, v);
-    }
-    step
+    (back_substitute(&columns, &right), basis)
 }
 
 fn back_substitute<W: Wide>(columns: &[Vec<W>], right: &[W]) -> Vec<W> {
@@ -115,25 +117,68 @@ fn select_one(length: DVec3, c: DVec3) -> DVec3 {
     DVec3::select(length.cmpgt(DVec3::ZERO), c, DVec3::ONE)
 }
 
-fn dot<V: Value>(a: &[V], b: &[V]) -> V::Wide {
-    let zero = V::Wide::splat(DVec3::ZERO);
-    let partial = |(a, b): (&[V], &[V])| a.iter().zip(b).fold(zero, |sum, (a, b)| sum.plus(a.product(*b)));
-    let sums: Vec<V::Wide> = a.par_chunks(chunk::<V>()).zip(b.par_chunks(chunk::<V>())).map(partial).collect();
-    sums.into_iter().fold(zero, Wide::plus)
+fn zero<V: Value>() -> V::Wide {
+    V::Wide::splat(DVec3::ZERO)
+}
+
+/// Σ a b of some elements.
+fn product<V: Value>(a: &[V], b: &[V]) -> V::Wide {
+    let narrow = |(a, b): (&[V], &[V])| a.iter().zip(b).map(|(a, b)| a.times(*b)).sum::<V>();
+    a.chunks(NARROW).zip(b.chunks(NARROW)).map(narrow).fold(zero::<V>(), |sum, products| sum.plus(products.wide()))
 }
 
 fn norm<V: Value>(a: &[V]) -> V::Wide {
-    dot(a, a).map(sqrt)
+    let sums: Vec<V::Wide> = a.par_chunks(chunk::<V>()).map(|a| product(a, a)).collect();
+    sums.into_iter().fold(zero::<V>(), Wide::plus).map(sqrt)
 }
 
-fn scaled<V: Value>(a: &[V], by: V::Wide) -> Vec<V> {
+/// `w = v − w` with the last vector of the basis; the products of the result with all of them.
+fn subtract_and_project<V: Value>(basis: &[Vec<V>], w: &mut [V]) -> Vec<V::Wide> {
+    let (size, last) = (chunk::<V>(), &basis[basis.len() - 1]);
+    let mut products = vec![zero::<V>(); basis.len() * w.len().div_ceil(size)];
+    let chunks = w.par_chunks_mut(size).zip(products.par_chunks_mut(basis.len())).enumerate();
+    chunks.for_each(|(chunk, (w, products))| {
+        let of_chunk = |v: &Vec<V>| chunk * size..v.len().min((chunk + 1) * size);
+        w.iter_mut().zip(&last[of_chunk(last)]).for_each(|(w, v)| *w = *v - *w);
+        products.iter_mut().zip(basis).for_each(|(sum, v)| *sum = product(&v[of_chunk(v)], w));
+    });
+    let add = |mut sums: Vec<V::Wide>, products: &[V::Wide]| {
+        sums.iter_mut().zip(products).for_each(|(sum, product)| *sum = sum.plus(*product));
+        sums
+    };
+    products.chunks(basis.len()).fold(vec![zero::<V>(); basis.len()], add)
+}
+
+/// Takes from `w` what is along the basis; the norm of what is left.
+fn orthogonalise<V: Value>(w: &mut [V], along: &[V::Wide], basis: &[Vec<V>]) -> V::Wide {
+    let size = chunk::<V>();
+    let along: Vec<V> = along.iter().map(|a| V::narrow(a.map(|a| -a))).collect();
+    let sums: Vec<V::Wide> = (w.par_chunks_mut(size).enumerate())
+        .map(|(chunk, w)| {
+            add_to_chunk(w, chunk * size, &along, basis);
+            product(w, w)
+        })
+        .collect();
+    sums.into_iter().fold(zero::<V>(), Wide::plus).map(sqrt)
+}
+
+/// `x += Σ weight v`.
+fn add_scaled<V: Value>(x: &mut [V], weights: &[V::Wide], basis: &[Vec<V>]) {
+    let size = chunk::<V>();
+    let weights: Vec<V> = weights.iter().map(|weight| V::narrow(*weight)).collect();
+    x.par_chunks_mut(size).enumerate().for_each(|(chunk, x)| add_to_chunk(x, chunk * size, &weights, basis));
+}
+
+/// The same for the elements from `first` on.
+fn add_to_chunk<V: Value>(x: &mut [V], first: usize, weights: &[V], basis: &[Vec<V>]) {
+    for (weight, v) in weights.iter().zip(basis) {
+        x.iter_mut().zip(&v[first..]).for_each(|(x, v)| *x += v.times(*weight));
+    }
+}
+
+fn scale<V: Value>(v: &mut [V], by: V::Wide) {
     let by = V::narrow(by);
-    a.par_iter().with_min_len(chunk::<V>()).map(|v| v.times(by)).collect()
-}
-
-fn axpy<V: Value>(y: &mut [V], a: V::Wide, x: &[V]) {
-    let a = V::narrow(a);
-    y.par_iter_mut().zip(x).with_min_len(chunk::<V>()).for_each(|(y, x)| *y += x.times(a));
+    v.par_iter_mut().with_min_len(chunk::<V>()).for_each(|v| *v = v.times(by));
 }
 
 #[cfg(test)]

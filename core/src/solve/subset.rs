@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use crate::transport::{Surfel, Value};
+use crate::transport::{Surfel, Value, blacken};
 use crate::world::{Hidden, Placed, World};
 
 const NONE: u32 = u32::MAX;
@@ -115,13 +115,17 @@ impl Subset {
         size_of_val(self.slots.as_slice()) + self.sides.iter().map(side).sum::<usize>()
     }
 
-    /// Values at the representatives carried to all slots; zero in holes.
-    pub(crate) fn interpolate<V: Value>(&self, values: &[V]) -> Vec<V> {
-        let mut out = vec![V::default(); self.len];
+    /// Values at the representatives carried to all slots, over what `out` holds; zero in holes.
+    pub(crate) fn interpolate<V: Value>(&self, values: &[V], out: &mut Vec<V>) {
+        blacken(out, self.len);
+        self.add_where(|_| true, values, out);
+    }
+
+    /// Values at the representatives carried to the slots that are wanted, and added to `out` there.
+    pub(crate) fn add_where<V: Value>(&self, is_wanted: impl Fn(u32) -> bool + Sync, values: &[V], out: &mut [V]) {
         for side in &self.sides {
-            side.interpolate(values, &mut out[side.first_slot as usize..]);
+            side.add_where(&is_wanted, values, &mut out[side.first_slot as usize..]);
         }
-        out
     }
 
     /// One of the representatives that a look-up is interpolated from, with its weight as probability; none where no
@@ -216,19 +220,24 @@ impl Side {
         last.or_else(|| self.alone.binary_search_by_key(&element, |a| a.0).ok().map(|k| self.alone[k].1))
     }
 
-    /// Writes the values of its elements to the beginning of `out`.
-    fn interpolate<V: Value>(&self, values: &[V], out: &mut [V]) {
+    /// Adds the values of its elements to the beginning of `out`.
+    fn add_where<V: Value>(&self, is_wanted: &(impl Fn(u32) -> bool + Sync), values: &[V], out: &mut [V]) {
         let out = &mut out[..self.placed.surface.positions.len()];
+        let is_wanted = |element: u32| is_wanted(self.first_slot + element);
         out.par_iter_mut().enumerate().with_min_len(CHUNK).for_each(|(element, out)| {
+            if !is_wanted(element as u32) {
+                return;
+            }
             let (mut sum, mut weight) = (V::default(), 0.0);
             for (i, w) in self.entries_of(element as u32) {
                 sum += values[i] * w;
                 weight += w;
             }
             if weight > 0.0 {
-                *out = sum / weight;
+                *out += sum / weight;
             }
         });
-        self.alone.iter().for_each(|&(element, i)| out[element as usize] = values[i as usize]);
+        let alone = self.alone.iter().filter(|(element, _)| is_wanted(*element));
+        alone.for_each(|&(element, i)| out[element as usize] += values[i as usize]);
     }
 }

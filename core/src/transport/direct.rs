@@ -2,8 +2,9 @@
 
 use glam::Vec3;
 
-use super::{Canceled, Effort, Value, Work};
+use super::{Effort, Value, Work};
 use crate::bvh::Ray;
+use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
 use crate::world::{Emitter, Trees, World};
@@ -112,10 +113,33 @@ pub(crate) fn direct_of<V: Value>(
     seed: u64,
     work: &Work,
 ) -> Result<Vec<V>, Canceled> {
+    let estimate = estimate_of(world, samples, effort, seed);
+    work.map(slots, |_, slot, rays| estimate(slot, rays))
+}
+
+/// The same, added to the light of some slots, ascending, in a map.
+pub(crate) fn add_direct<V: Value>(
+    world: &World,
+    slots: &[u32],
+    (samples, effort): (u32, &Effort),
+    seed: u64,
+    work: &Work,
+    light: &mut [V],
+) -> Result<(), Canceled> {
+    work.add(slots, light, estimate_of(world, samples, effort, seed))
+}
+
+/// Direct light of an element.
+fn estimate_of<V: Value>(
+    world: &World,
+    samples: u32,
+    effort: &Effort,
+    seed: u64,
+) -> impl Fn(u32, &mut u64) -> V + Sync {
     let direct = DirectLight::new(world, samples);
     let seed = subseed(seed, 0xd1);
-    work.map(slots, |_, slot, rays| {
+    move |slot, rays| {
         let (from, factor) = (world.ray_origin(slot as usize), effort.factor(slot));
         direct.estimate(world, from, factor, &mut Pcg32::new(seed, u64::from(slot)), rays)
-    })
+    }
 }

@@ -2,8 +2,9 @@
 
 use glam::Vec3;
 
-use super::direct::{direct_of, one_light};
-use super::{Canceled, Effort, Rough, Spots, Target, Value, Work};
+use super::direct::{add_direct, one_light};
+use super::{Effort, Rough, Spots, Target, Value, Work, black};
+use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::world::World;
 
@@ -22,9 +23,8 @@ pub(crate) struct Hint {
 impl Hint {
     /// Direct light that hints are made from, per slot.
     pub(crate) fn direct<V: Value>(world: &World, slots: &[u32], seed: u64, work: &Work) -> Result<Vec<V>, Canceled> {
-        let found: Vec<V> = direct_of(world, slots, SAMPLES, &Effort::default(), seed, work)?;
-        let mut direct = vec![V::default(); world.slots()];
-        slots.iter().zip(&found).for_each(|(&slot, light)| direct[slot as usize] = *light);
+        let mut direct = black(world.slots());
+        add_direct(world, slots, (SAMPLES, &Effort::default()), seed, work, &mut direct)?;
         world.validity.fill(&mut direct);
         Ok(direct)
     }

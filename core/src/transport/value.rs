@@ -37,8 +37,8 @@ pub(crate) trait Value:
     /// A layer's light.
     fn layer(&self, layer: usize) -> Vec3;
 
-    /// Product per layer and channel, in double precision.
-    fn product(self, other: Self) -> Self::Wide;
+    /// Numbers per layer and channel, in double precision.
+    fn wide(self) -> Self::Wide;
 
     /// Product per layer and channel.
     fn times(self, other: Self) -> Self;
@@ -99,8 +99,8 @@ impl Value for Vec3 {
     }
 
     #[inline]
-    fn product(self, other: Self) -> DVec3 {
-        (self * other).as_dvec3()
+    fn wide(self) -> DVec3 {
+        self.as_dvec3()
     }
 
     #[inline]
@@ -160,8 +160,8 @@ impl<const K: usize> Value for Layered<K> {
     }
 
     #[inline]
-    fn product(self, other: Self) -> [DVec3; K] {
-        std::array::from_fn(|k| (self.0[k] * other.0[k]).as_dvec3())
+    fn wide(self) -> [DVec3; K] {
+        self.0.map(|v| v.as_dvec3())
     }
 
     #[inline]

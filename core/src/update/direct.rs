@@ -77,24 +77,21 @@ impl<'a> DirectChange<'a> {
         if self.sphere.is_none() && environment == V::default() && self.pairs.iter().all(|p| p.before == p.after) {
             return Ok(());
         }
-        let fine = self.change(&extent.fine, environment, samples, seed, work)?;
-        let spread = self.change(&extent.representatives, environment, samples, seed, work)?;
-        extent.add(subset, &fine, &spread, out);
+        let change = self.change(environment, samples, seed);
+        if extent.is_fine() {
+            return work.add(&extent.fine, out, change);
+        }
+        let found = |rows: &[u32]| work.map(rows, |_, slot, rays| change(slot, rays));
+        extent.add(subset, &found(&extent.fine)?, &found(&extent.representatives)?, out);
         Ok(())
     }
 
-    fn change<V: Value>(
-        &self,
-        rows: &[u32],
-        environment: V,
-        samples: u32,
-        seed: u64,
-        work: &Work,
-    ) -> Result<Vec<V>, Canceled> {
+    /// ΔD of an element.
+    fn change<V: Value>(&self, environment: V, samples: u32, seed: u64) -> impl Fn(u32, &mut u64) -> V + Sync {
         let (before, after) = (&self.transition.before, &self.transition.after);
         let counts = [DirectLight::new(before, samples), DirectLight::new(after, samples)];
         let seed = subseed(seed, 0xdd);
-        work.map(rows, |_, slot, rays| {
+        move |slot, rays| {
             let (point, n) = after.ray_origin(slot as usize);
             let mut rng = Pcg32::new(seed, u64::from(slot));
             let mut sum = V::default();
@@ -107,7 +104,7 @@ impl<'a> DirectChange<'a> {
                 sum += environment * self.sky_before(point, n, samples, &mut rng, rays);
             }
             sum
-        })
+        }
     }
 
     fn pair_change(&self, pair: &Pair, count: u32, point: Vec3, n: Vec3, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {

@@ -3,29 +3,30 @@
 use rayon::prelude::*;
 
 use crate::solve::Subset;
-use crate::transport::Value;
+use crate::transport::{Value, for_slots};
+
+const NONE: u32 = u32::MAX;
 
 /// A division of some rows.
 pub(super) struct Extent {
-    /// Slots that are estimated themselves.
+    /// Slots that are estimated themselves, ascending.
     pub fine: Vec<u32>,
-    /// Slots whose values are interpolated.
-    pub spread: Vec<u32>,
-    /// Slots of the representatives among `spread`.
+    /// Slots of the representatives that others are interpolated from.
     pub representatives: Vec<u32>,
+    /// Per slot: whether its value is interpolated; empty where none is.
+    is_spread: Vec<bool>,
+    /// Per representative of the subset: its place among `fine` and `representatives`, one behind the other, or `NONE`.
+    places: Vec<u32>,
 }
 
 impl Extent {
-    /// Divides `rows` (slots) of a world of `slots` slots.
+    /// Divides `rows` (slots, ascending) of a world of `slots` slots.
     pub(super) fn new(rows: &[u32], subset: &Subset, slots: usize, is_fine: impl Fn(u32) -> bool) -> Extent {
         let (fine, spread): (Vec<u32>, Vec<u32>) = rows.iter().partition(|&&slot| is_fine(slot));
-        let mut representatives = Vec::new();
-        if !spread.is_empty() {
-            let mut is_spread = vec![false; slots];
-            spread.iter().for_each(|&slot| is_spread[slot as usize] = true);
-            representatives = subset.slots.iter().copied().filter(|&slot| is_spread[slot as usize]).collect();
-        }
-        Extent { fine, spread, representatives }
+        let is_spread = flags(&spread, slots);
+        let is_representative = |slot: u32| is_spread.get(slot as usize).copied().unwrap_or(false);
+        let representatives = subset.slots.iter().copied().filter(|&slot| is_representative(slot)).collect();
+        Extent::of(fine, representatives, is_spread, subset)
     }
 
     /// Rows that are looked at, and nothing else: representatives of others among those that theirs are interpolated from.
@@ -33,25 +34,45 @@ impl Extent {
         let (fine, spread): (Vec<u32>, Vec<u32>) = rows.iter().partition(|&&slot| is_fine(slot));
         let needed = subset.needed_by(&spread, slots);
         let representatives = subset.slots.iter().copied().filter(|&slot| needed[slot as usize]).collect();
-        Extent { fine, spread, representatives }
+        Extent::of(fine, representatives, flags(&spread, slots), subset)
+    }
+
+    fn of(fine: Vec<u32>, representatives: Vec<u32>, is_spread: Vec<bool>, subset: &Subset) -> Extent {
+        let mut places = Vec::new();
+        if !is_spread.is_empty() {
+            let mut of_slot = vec![NONE; is_spread.len()];
+            fine.iter().chain(&representatives).zip(0..).for_each(|(&slot, place)| of_slot[slot as usize] = place);
+            places = subset.slots.iter().map(|&slot| of_slot[slot as usize]).collect();
+        }
+        Extent { fine, representatives, is_spread, places }
+    }
+
+    /// Whether all rows are estimated themselves.
+    pub(super) fn is_fine(&self) -> bool {
+        self.is_spread.is_empty()
     }
 
     /// Adds values to all rows: those of `fine` and `representatives`, in that order.
     pub(super) fn add<V: Value>(&self, subset: &Subset, fine: &[V], representatives: &[V], out: &mut [V]) {
         self.fine.iter().zip(fine).for_each(|(&slot, v)| out[slot as usize] += *v);
-        if self.spread.is_empty() {
+        if self.is_fine() {
             return;
         }
-        const NONE: u32 = u32::MAX;
-        let mut place = vec![NONE; out.len()];
-        self.fine.iter().chain(&self.representatives).zip(0..).for_each(|(&slot, k)| place[slot as usize] = k);
-        let value = |&slot: &u32| match place[slot as usize] as usize {
+        let value = |&place: &u32| match place as usize {
             k if k < fine.len() => fine[k],
-            k if k - fine.len() < representatives.len() => representatives[k - fine.len()],
-            _ => V::default(),
+            k => representatives.get(k - fine.len()).copied().unwrap_or_default(),
         };
-        let values: Vec<V> = subset.slots.par_iter().map(value).collect();
-        let field = subset.interpolate(&values);
-        self.spread.iter().for_each(|&slot| out[slot as usize] += field[slot as usize]);
+        let values: Vec<V> = self.places.par_iter().with_min_len(1024).map(value).collect();
+        subset.add_where(|slot| self.is_spread[slot as usize], &values, out);
     }
+}
+
+/// Flags of some slots; none at all where there are none.
+fn flags(of: &[u32], slots: usize) -> Vec<bool> {
+    if of.is_empty() {
+        return Vec::new();
+    }
+    let mut flags = vec![false; slots];
+    for_slots(of, &mut flags, |_, flag| *flag = true);
+    flags
 }

@@ -2,14 +2,15 @@
 //! representatives; rounds then estimate only what is looked at, since from the rest light arrives by way of at least one
 //! bounce, which smooths it.
 
-use std::cell::{OnceCell, RefCell};
+use std::cell::OnceCell;
 use std::sync::Arc;
 
 use super::extent::Extent;
-use super::updater::{Extents, Parts, Updater};
+use super::updater::{Extents, Updater};
 use crate::accumulate::Accumulator;
 use crate::focus::Focus;
 use crate::job::Canceled;
+use crate::layers::Stack;
 use crate::random::subseed;
 use crate::rounds::{Estimate, First, Goal, Phase, Round, Rounds};
 use crate::solve::Rows;
@@ -25,7 +26,7 @@ const LARGE: f64 = 0.1;
 #[derive(Clone)]
 pub(super) struct Known<V> {
     /// Before any bounce; black where somebody looks.
-    pub parts: Parts<V>,
+    pub parts: Estimate<V>,
     pub bounces: Arc<[V]>,
     /// Of new rows.
     pub indirect: Arc<[V]>,
@@ -67,21 +68,22 @@ impl<V: Value> Updater<'_, V> {
             return Ok(None);
         }
         let look = self.look(is_seen);
-        let last = RefCell::new(None);
+        let mut last = None;
         let compose = |s: &Accumulator<V>| {
-            let mut stack = self.compose(s);
+            let mut stack = Stack::default();
+            self.compose(s, &mut stack);
             let unseen = self.static_rows.iter().copied().filter(|&slot| !look.is_seen[slot as usize]);
             stack.take(&self.old, unseen);
             stack.fill_invalid(&self.world.validity);
-            last.replace(Some((stack.clone(), s.samples())));
-            (self.stage.finish)(stack)
+            last = Some((stack.clone(), s.samples()));
+            (self.stage.finish)(&mut stack)
         };
         let (budget, seed) = (&goal.first_budget(), goal.first_seed());
         // The rest of the map is out of date: nothing can be stated about the whole.
         let (world, weights) = (self.world, self.stage.weights);
         let rounds = Rounds { world, weights, budget, seed, work, phase: Phase::Part };
-        rounds.run(|_| None, |_| false, |r| self.round_of(r, &look), compose)?;
-        Ok(last.take().map(|(stack, samples)| First::evenly(stack, &look.is_seen, samples)))
+        rounds.run(|_| None, |_| false, |r, out| self.round_of(r, &look, out), compose)?;
+        Ok(last.map(|(stack, samples)| First::evenly(stack, &look.is_seen, samples)))
     }
 
     /// With what is known of everything else.
@@ -108,7 +110,8 @@ impl<V: Value> Updater<'_, V> {
     fn estimate_all(&self, round: &Round<V>, look: &Look<V>) -> Result<(Known<V>, Estimate<V>), Canceled> {
         let samples = if look.is_large { round.samples } else { UNSEEN_SAMPLES };
         let known = self.know(round, samples, |slot| look.is_large && look.is_seen[slot as usize])?;
-        let estimate = known.parts.clone().with(&known.bounces);
+        let mut estimate = known.parts.clone();
+        estimate.add_indirect(&known.bounces);
         Ok((known.around(&look.is_seen), estimate))
     }
 
@@ -119,30 +122,34 @@ impl<V: Value> Updater<'_, V> {
 
     fn know(&self, round: &Round<V>, samples: u32, is_fine: impl Fn(u32) -> bool) -> Result<Known<V>, Canceled> {
         let round = Round { samples, seed: subseed(round.seed, 0xa11), ..*round };
-        let mut parts = Parts::black(self.world.slots());
+        let mut parts = Estimate::default();
+        parts.blacken(self.world.slots());
         self.arriving(&round, &self.extents(is_fine), (&self.transition.new_rows, None), &mut parts)?;
         let bounces = self.propagate(&parts, &round, None, &[])?;
         let indirect = parts.indirect.iter().zip(&bounces).map(|(i, b)| *i + *b).collect();
         Ok(Known { parts, bounces: bounces.into(), indirect })
     }
 
-    pub(super) fn round_of(&self, round: &Round<V>, look: &Look<V>) -> Result<Estimate<V>, Canceled> {
+    pub(super) fn round_of(&self, round: &Round<V>, look: &Look<V>, out: &mut Estimate<V>) -> Result<(), Canceled> {
         let Known { parts, bounces, indirect } = match look.known.get() {
             Some(known) => known,
             None => {
                 let (known, estimate) = self.estimate_all(round, look)?;
                 let known = look.known.get_or_init(|| known);
                 if look.is_large {
-                    return Ok(estimate);
+                    *out = estimate;
+                    return Ok(());
                 }
                 known
             }
         };
-        let mut parts = parts.clone();
-        self.arriving(round, &look.seen, (&look.new_rows, Some(indirect)), &mut parts)?;
-        let mut fresh = self.propagate(&parts, round, Some((&look.rows, bounces)), &look.seen.source.fine)?;
+        *out = parts.clone();
+        self.arriving(round, &look.seen, (&look.new_rows, Some(indirect)), out)?;
+        let mut fresh = self.propagate(out, round, Some((&look.rows, bounces)), &look.seen.source.fine)?;
         let unseen = look.is_seen.iter().zip(fresh.iter_mut().zip(bounces.iter())).filter(|(seen, _)| !**seen);
         unseen.for_each(|(_, (fresh, known))| *fresh = *known);
-        Ok(parts.with(&fresh))
+        out.add_indirect(&fresh);
+        self.buffers.give(fresh);
+        Ok(())
     }
 }

@@ -9,6 +9,7 @@
 //!   `u_{k+1} = G_B[ρ u_k]`, a contraction whatever the edit.
 
 mod allotment;
+mod buffers;
 mod direct;
 mod extent;
 mod look_first;
@@ -34,7 +35,7 @@ use crate::layers::{Stack, update_layers};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
 use crate::refine::refine_with;
-use crate::rounds::{Goal, Phase, Round, Rounds};
+use crate::rounds::{Estimate, Goal, Phase, Round, Rounds};
 use crate::transport::{Value, Work};
 use crate::world::Transition;
 
@@ -93,7 +94,7 @@ fn update_whole(
     goal: &Goal,
     work: &Work,
 ) -> Result<Option<Updated>, Canceled> {
-    let finish = |stack: Stack<Vec3>| stack.into_map();
+    let finish = |stack: &mut Stack<Vec3>| stack.take_map();
     let before_total = (0..map.len()).into_par_iter().with_min_len(4096).map(|slot| map.total(slot)).collect();
     let old = Stack::of_whole(map, transition);
     run_stage(Stage { transition, before_total, old, weights: &[Vec3::ONE], around: None, finish: &finish }, goal, work)
@@ -112,8 +113,8 @@ pub(crate) struct Stage<'a, V> {
     /// All light there is before the change, direct + indirect, per slot of the new world; none where it is the old
     /// light of this stage.
     pub around: Option<&'a [Vec3]>,
-    /// Makes a light map of the layers so far.
-    pub finish: &'a dyn Fn(Stack<V>) -> LightMap,
+    /// Makes a light map of the layers so far, which are of no use afterwards.
+    pub finish: &'a dyn Fn(&mut Stack<V>) -> LightMap,
 }
 
 /// Runs a stage to its goal; none where the observer planned no round.
@@ -124,27 +125,34 @@ pub(crate) fn run_stage<V: Value>(stage: Stage<V>, goal: &Goal, work: &Work) -> 
     let first = updater.come_first(goal, work)?;
     let extents = updater.extents(|_| true);
     let baker = OnceCell::new();
-    let round = |r: &Round<V>| {
+    let round = |r: &Round<V>, out: &mut Estimate<V>| {
         if baker.get().is_none() {
-            let (direct, indirect) = updater.round(r, &extents)?;
-            if r.sum.samples() > 0 || !updater.outgrows_the_light(&direct, &indirect) {
-                return Ok((direct, indirect));
+            updater.round(r, &extents, out)?;
+            if r.sum.samples() > 0 || !updater.outgrows_the_light(out) {
+                return Ok(());
             }
         }
-        baker.get_or_init(|| Baker::new(world, weights, seed, work)).round(r)
+        baker.get_or_init(|| Baker::new(world, weights, seed, work)).round(r, out)
     };
+    let mut stack = Stack::default();
     let compose = |s: &Accumulator<V>| {
-        finish(match (baker.get(), &first) {
-            (Some(baker), _) => baker.compose(s),
-            (None, None) => updater.compose(s),
-            (None, Some(first)) => updater.merge(first, updater.compose(s), s.samples()),
-        })
+        match (baker.get(), &first) {
+            (Some(baker), _) => baker.compose(s, &mut stack),
+            (None, None) => updater.compose(s, &mut stack),
+            (None, Some(first)) => {
+                updater.compose(s, &mut stack);
+                updater.merge(first, &mut stack, s.samples());
+            }
+        }
+        finish(&mut stack)
     };
     let stated = |map: &LightMap| Some(map.estimated_rmse(world.areas()));
     // What the old map brings along in noise no number of samples of the change takes away.
     let carried = updater.carried_variance();
     let enough = |s: &Accumulator<V>| {
-        budget.target_rmse.is_some() && s.knows_variance() && updater.mean(&s.variance()) < SETTLED * carried
+        budget.target_rmse.is_some()
+            && s.knows_variance()
+            && updater.mean(&s.variance().collect::<Vec<f32>>()) < SETTLED * carried
     };
     let phase = if first.is_some() { Phase::Rest } else { Phase::Whole };
     let rounds = Rounds { world, weights, budget, seed, work, phase };

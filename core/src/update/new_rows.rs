@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::updater::Updater;
+use super::updater::{CHUNK, Updater};
 use crate::job::Canceled;
 use crate::random::subseed;
 use crate::rounds::Round;
@@ -35,7 +35,10 @@ impl<V: Value> Updater<'_, V> {
         let (world, work) = (self.world, self.work);
         let (samples, nominal) = (round.samples * NEW_ROW_SAMPLES, Effort::default());
         // What they see of the elements that stay: old light, changed direct light.
-        let mut field: Vec<V> = self.old_total.par_iter().zip(&*direct).map(|(t, d)| *t + *d).collect();
+        let mut field = self.buffers.take();
+        let light = self.light.borrow();
+        light.par_iter().zip(&*direct).with_min_len(CHUNK).map(|(t, d)| *t + *d).collect_into_vec(&mut field);
+        drop(light);
         let own_direct: Vec<V> = direct_of(world, rows, samples, &nominal, subseed(round.seed, 0xd0), work)?;
         for (&slot, d) in rows.iter().zip(&own_direct) {
             direct[slot as usize] = *d;
@@ -55,6 +58,7 @@ impl<V: Value> Updater<'_, V> {
         let gathered =
             gather(world, &light.source(world, spots), rows, samples, &nominal, subseed(round.seed, 0x0b), work)?;
         rows.iter().zip(gathered).for_each(|(&slot, i)| indirect[slot as usize] = i);
+        self.buffers.give(field);
         Ok(())
     }
 
@@ -76,10 +80,8 @@ impl<V: Value> Updater<'_, V> {
             self.work,
         )?;
         let values = exchange.to_representatives(&self.subset, &exchange.all_bounces(&exchange.first));
-        let spread = self.subset.interpolate(&values);
-        for (&slot, d) in slots.iter().zip(own_direct) {
-            field[slot as usize] = *d + spread[slot as usize];
-        }
+        slots.iter().zip(own_direct).for_each(|(&slot, d)| field[slot as usize] = *d);
+        self.subset.add_where(|slot| is_new[slot as usize], &values, field);
         world.validity.fill(field);
         Ok(())
     }

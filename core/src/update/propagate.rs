@@ -6,10 +6,10 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::allotment::{ALBEDO, Allotment};
-use super::updater::{CHUNK, Parts, Updater};
+use super::updater::{CHUNK, Updater};
 use crate::job::{Canceled, Pass};
 use crate::random::{Pcg32, subseed};
-use crate::rounds::Round;
+use crate::rounds::{Estimate, Round};
 use crate::solve::{Exchange, Paths, Rows};
 use crate::transport::{Effort, Radiance, Source, Spots, Surfel, Value, gather};
 use crate::world::World;
@@ -106,7 +106,7 @@ impl<V: Value> Updater<'_, V> {
     /// 5.5 % with it).
     pub(super) fn propagate(
         &self,
-        parts: &Parts<V>,
+        parts: &Estimate<V>,
         round: &Round<V>,
         known: Option<(&Arc<Rows>, &[V])>,
         near: &[u32],
@@ -114,6 +114,26 @@ impl<V: Value> Updater<'_, V> {
         let world = self.world;
         (round.begin)(Pass::Propagation, 0.8);
         let change = self.change(parts);
+        let mut field = self.on_the_subset(&change, round, known)?;
+        if !near.is_empty() && round.sum.samples() >= FINE_FROM {
+            let bounces = known.map_or(&*field, |(_, bounces)| bounces);
+            let found = self.element_by_element(&change, round, bounces, near)?;
+            near.iter().zip(found).for_each(|(&slot, light)| field[slot as usize] = light);
+            world.validity.fill(&mut field);
+        }
+        self.buffers.give(change.seen_by_old);
+        self.buffers.give(change.seen_by_new);
+        Ok(field)
+    }
+
+    /// X of all slots, interpolated.
+    fn on_the_subset(
+        &self,
+        change: &Change<V>,
+        round: &Round<V>,
+        known: Option<(&Arc<Rows>, &[V])>,
+    ) -> Result<Vec<V>, Canceled> {
+        let world = self.world;
         let samples = (round.samples * 2).clamp(PROPAGATION_SAMPLES.0, PROPAGATION_SAMPLES.1);
         let amounts = change.amounts(world, self.stage.weights);
         let samples = (f64::from(samples) * self.weight_of(&amounts)).ceil() as u32;
@@ -131,25 +151,33 @@ impl<V: Value> Updater<'_, V> {
             Some(_) => exchange.to_representatives(&self.subset, &exchange.first),
             None => exchange.to_representatives(&self.subset, &exchange.all_bounces(&exchange.first)),
         };
-        let mut field = self.subset.interpolate(&found);
-        world.validity.fill(&mut field);
-        if near.is_empty() || round.sum.samples() < FINE_FROM {
-            return Ok(field);
-        }
-        let found = {
-            let source = change.source(Some(bounces.unwrap_or(&field)), spots.as_ref());
-            let seed = subseed(round.seed, 0x9410);
-            gather(world, &source, near, round.samples, &Effort::default(), seed, self.work)?
-        };
-        near.iter().zip(found).for_each(|(&slot, light)| field[slot as usize] = light);
+        let mut field = self.buffers.take();
+        self.subset.interpolate(&found, &mut field);
         world.validity.fill(&mut field);
         Ok(field)
     }
 
-    fn change(&self, Parts { direct, indirect }: &Parts<V>) -> Change<'_, V> {
+    /// X of some elements, from what others have of it.
+    fn element_by_element(
+        &self,
+        change: &Change<V>,
+        round: &Round<V>,
+        bounces: &[V],
+        slots: &[u32],
+    ) -> Result<Vec<V>, Canceled> {
+        let spots = self.aims.get().and_then(|aims| aims.spots.as_ref());
+        let source = change.source(Some(bounces), spots);
+        let seed = subseed(round.seed, 0x9410);
+        gather(self.world, &source, slots, round.samples, &Effort::default(), seed, self.work)
+    }
+
+    fn change(&self, Estimate { direct, indirect }: &Estimate<V>) -> Change<'_, V> {
         let seen = |light: &(dyn Fn(usize) -> V + Sync)| -> Vec<V> {
+            let mut seen = self.buffers.take();
             let slots = self.is_static.par_iter().enumerate().with_min_len(CHUNK);
-            slots.map(|(slot, is_static)| if *is_static { light(slot) } else { V::default() }).collect()
+            let light = |(slot, is_static): (usize, &bool)| if *is_static { light(slot) } else { V::default() };
+            slots.map(light).collect_into_vec(&mut seen);
+            seen
         };
         let mut seen_by_old = seen(&|slot| direct[slot] + indirect[slot]);
         let mut seen_by_new = seen(&|slot| indirect[slot]);

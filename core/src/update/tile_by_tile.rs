@@ -34,15 +34,17 @@ impl<V: Value> Updater<'_, V> {
             return Ok(None);
         }
         let known = self.know_for_tiles(goal, work)?;
+        let mut stack = Stack::default();
         let mut first = First { stack: self.carried(&known), samples: vec![0; self.world.slots()] };
         for (index, tile) in order.iter().enumerate() {
             let Some(sum) = self.tile(tile, &known, goal, (work, index as u64))? else { break };
-            first.stack.take(&self.compose(&sum), tile.iter().copied());
+            self.compose(&sum, &mut stack);
+            first.stack.take(&stack, tile.iter().copied());
             first.stack.fill_invalid(&self.world.validity);
             tile.iter().for_each(|&slot| first.samples[slot as usize] = sum.samples());
             let done = Progress { rays: work.rays(), ..Progress::at_once(Pass::FinalGather, 0, None) };
             work.observer().progress(&done);
-            work.observer().snapshot(&Arc::new((self.stage.finish)(first.stack.clone())), &done);
+            work.observer().snapshot(&Arc::new((self.stage.finish)(&mut first.stack.clone())), &done);
         }
         Ok(first.samples.iter().any(|&samples| samples > 0).then_some(first))
     }
@@ -80,7 +82,7 @@ impl<V: Value> Updater<'_, V> {
             let progress = Progress { round_fraction: fraction, ..Progress::at_once(pass, 0, None) };
             work.observer().progress(&Progress { rays: work.rays(), ..progress });
         };
-        let sum = Accumulator::new(0, self.stage.weights, self.world.stated());
+        let sum = Accumulator::new(self.stage.weights, self.world.stated());
         self.know_roughly(&Round { samples: 1, seed: goal.first_seed(), sum: &sum, begin: &begin })
     }
 
@@ -110,6 +112,6 @@ impl<V: Value> Updater<'_, V> {
         let (world, weights) = (self.world, self.stage.weights);
         let (budget, seed) = (&goal.first_budget(), subseed(goal.first_seed(), 1 + index));
         let rounds = Rounds { world, weights, budget, seed, work, phase: Phase::Part };
-        rounds.run_quietly(|round| self.round_of(round, &look))
+        rounds.run_quietly(|round, out| self.round_of(round, &look, out))
     }
 }

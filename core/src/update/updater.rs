@@ -1,11 +1,11 @@
 //! One stage of an update: the change of some layers, round by round.
 
-use std::cell::OnceCell;
+use std::cell::{OnceCell, RefCell};
 use std::sync::Arc;
 
 use glam::Vec3;
-use rayon::prelude::*;
 
+use super::buffers::Buffers;
 use super::extent::Extent;
 use super::propagate::Aims;
 use super::{Stage, direct, source};
@@ -30,39 +30,6 @@ pub(super) struct Extents {
     pub source: Extent,
 }
 
-/// Change of direct and of indirect light per slot; values on new rows.
-#[derive(Clone)]
-pub(super) struct Parts<V> {
-    pub direct: Vec<V>,
-    pub indirect: Vec<V>,
-}
-
-impl<V: Value> Parts<V> {
-    pub(super) fn black(slots: usize) -> Parts<V> {
-        Parts { direct: black(slots), indirect: black(slots) }
-    }
-
-    /// Black in some slots.
-    pub(super) fn without(mut self, slots: &[bool]) -> Parts<V> {
-        for slot in slots.iter().enumerate().filter(|(_, out)| **out).map(|(slot, _)| slot) {
-            (self.direct[slot], self.indirect[slot]) = (V::default(), V::default());
-        }
-        self
-    }
-
-    /// Direct and indirect light, bounces and all.
-    pub(super) fn with(self, bounces: &[V]) -> Estimate<V> {
-        let Parts { direct, mut indirect } = self;
-        indirect.par_iter_mut().zip(bounces).with_min_len(CHUNK).for_each(|(i, b)| *i += *b);
-        (direct, indirect)
-    }
-}
-
-/// No light, on all threads: the memory is fresh, and its first touch takes longer than the rest.
-fn black<V: Value>(slots: usize) -> Vec<V> {
-    (0..slots).into_par_iter().with_min_len(CHUNK).map(|_| V::default()).collect()
-}
-
 /// What all rounds of a stage share.
 pub(super) struct Updater<'a, V> {
     pub(super) transition: &'a Transition,
@@ -71,7 +38,9 @@ pub(super) struct Updater<'a, V> {
     pub(super) stage: Stage<'a, V>,
     /// The old light in the new slots; zero on new rows.
     pub(super) old: Stack<V>,
-    /// direct + indirect of `old`.
+    /// Its sum, direct and indirect, with new rows' own values as they were found last: what is looked up of the new scene.
+    pub(super) light: RefCell<Vec<V>>,
+    /// That sum with new rows black; empty where nothing is repainted.
     pub(super) old_total: Vec<V>,
     /// direct + indirect of the map of `before`, in its slots.
     pub(super) before_total: Vec<V>,
@@ -89,6 +58,7 @@ pub(super) struct Updater<'a, V> {
     pub(super) aims: OnceCell<Aims>,
     /// Change of albedo per part of the new world.
     pub(super) repaint: Vec<Vec3>,
+    pub(super) buffers: Buffers<V>,
 }
 
 impl<'a, V: Value> Updater<'a, V> {
@@ -104,12 +74,15 @@ impl<'a, V: Value> Updater<'a, V> {
         let mut is_static = vec![false; world.slots()];
         static_rows.iter().for_each(|&slot| is_static[slot as usize] = true);
         let subset = Subset::new(world);
+        let (light, repaint) = (old.total(), transition.repaint());
+        let is_repainted = repaint.iter().any(|change| *change != Vec3::ZERO);
         Updater {
             transition,
             world,
             work,
             stage,
-            old_total: old.total(),
+            old_total: if is_repainted { light.clone() } else { Vec::new() },
+            light: RefCell::new(light),
             before_total,
             old,
             rows: Arc::new(Rows::all(&subset)),
@@ -120,7 +93,8 @@ impl<'a, V: Value> Updater<'a, V> {
             direct: direct::DirectChange::new(transition),
             spots: OnceCell::new(),
             aims: OnceCell::new(),
-            repaint: transition.repaint(),
+            repaint,
+            buffers: Buffers::new(),
         }
     }
 
@@ -145,33 +119,34 @@ impl<'a, V: Value> Updater<'a, V> {
     }
 
     /// The mean of what was done first and what followed, by samples.
-    pub(super) fn merge(&self, first: &First<V>, mut stack: Stack<V>, samples: u32) -> Stack<V> {
+    pub(super) fn merge(&self, first: &First<V>, stack: &mut Stack<V>, samples: u32) {
         let rows = self.static_rows.iter().chain(&self.transition.new_rows).copied();
-        first.merge(&mut stack, samples, rows, Some(&self.old));
+        first.merge(stack, samples, rows, Some(&self.old));
         stack.fill_invalid(&self.world.validity);
-        stack
     }
 
     /// One independent estimate: changes on static rows, values on new rows.
-    pub(super) fn round(&self, round: &Round<V>, extents: &Extents) -> Result<Estimate<V>, Canceled> {
-        let mut parts = Parts::black(self.world.slots());
-        let known = (round.sum.samples() > 0).then(|| round.sum.indirect());
-        self.arriving(round, extents, (&self.transition.new_rows, known.as_deref()), &mut parts)?;
-        let bounces = self.propagate(&parts, round, None, &extents.source.fine)?;
-        Ok(parts.with(&bounces))
+    pub(super) fn round(&self, round: &Round<V>, extents: &Extents, out: &mut Estimate<V>) -> Result<(), Canceled> {
+        out.blacken(self.world.slots());
+        let known = (round.sum.samples() > 0).then(|| round.sum.mean().indirect.as_slice());
+        self.arriving(round, extents, (&self.transition.new_rows, known), out)?;
+        let bounces = self.propagate(out, round, None, &extents.source.fine)?;
+        out.add_indirect(&bounces);
+        self.buffers.give(bounces);
+        Ok(())
     }
 
     /// What changes before any bounce: ΔD and S on the static rows of `extents`, light of some new rows, with what is known
-    /// of the indirect light of all. `parts` holds what is known elsewhere.
+    /// of the indirect light of all. `parts`, changes on static rows and values on new rows, holds what is known elsewhere.
     pub(super) fn arriving(
         &self,
         round: &Round<V>,
         extents: &Extents,
         (new_rows, known): (&[u32], Option<&[V]>),
-        parts: &mut Parts<V>,
+        parts: &mut Estimate<V>,
     ) -> Result<(), Canceled> {
         let (world, work) = (self.world, self.work);
-        let Parts { direct, indirect } = parts;
+        let Estimate { direct, indirect } = parts;
         (round.begin)(Pass::Direct, 0.0);
         self.direct.estimate(&extents.direct, &self.subset, round.samples, round.seed, work, direct)?;
 
@@ -179,13 +154,12 @@ impl<'a, V: Value> Updater<'a, V> {
         self.new_rows(round, new_rows, known, direct, indirect)?;
 
         (round.begin)(Pass::Source, 0.4);
-        // What the rays of S look up in the new scene: the old map, and the new rows' own values.
-        let mut guess = self.old_total.par_iter().with_min_len(CHUNK).copied().collect::<Vec<V>>();
+        let light = &mut *self.light.borrow_mut();
         for &slot in &self.transition.new_rows {
-            guess[slot as usize] = direct[slot as usize] + indirect[slot as usize];
+            light[slot as usize] = direct[slot as usize] + indirect[slot as usize];
         }
-        world.validity.fill(&mut guess);
-        let maps = source::Maps { before: &self.before_total, after: &guess, spots: self.spots_of_light(&guess) };
+        world.validity.fill(light);
+        let maps = source::Maps { before: &self.before_total, after: light, spots: self.spots_of_light(light) };
         self.source.estimate(&extents.source, &self.subset, &maps, round, work, direct, indirect)
     }
 
@@ -196,13 +170,13 @@ impl<'a, V: Value> Updater<'a, V> {
 
     /// Whether the change is so large beside the light that is left that a bake is the better update (design, section 3.9):
     /// what the subset gets wrong of it would show. The new rows' own light is no change.
-    pub(super) fn outgrows_the_light(&self, direct: &[V], indirect: &[V]) -> bool {
-        let (areas, weights) = (self.world.areas(), self.stage.weights);
+    pub(super) fn outgrows_the_light(&self, Estimate { direct, indirect }: &Estimate<V>) -> bool {
+        let (areas, weights, light) = (self.world.areas(), self.stage.weights, self.light.borrow());
         let (mut change, mut left) = (0.0f64, 0.0f64);
         for &slot in &self.static_rows {
             let slot = slot as usize;
             let delta = (direct[slot] + indirect[slot]).weighted(weights);
-            let then = self.stage.around.map_or_else(|| self.old_total[slot].weighted(weights), |a| a[slot]) + delta;
+            let then = self.stage.around.map_or_else(|| light[slot].weighted(weights), |a| a[slot]) + delta;
             change += f64::from(areas[slot]) * f64::from(delta.length_squared());
             left += f64::from(areas[slot]) * f64::from(then.length_squared());
         }
@@ -215,11 +189,9 @@ impl<'a, V: Value> Updater<'a, V> {
         flags
     }
 
-    /// Old values plus the mean change on static rows, mean values on new rows.
-    pub(super) fn compose(&self, sum: &Accumulator<V>) -> Stack<V> {
-        let mut stack = Stack::mean_of(sum);
-        stack.add(&self.old);
-        stack.fill_invalid(&self.world.validity);
-        stack
+    /// Old values plus the mean change on static rows, mean values on new rows; written over what `out` holds.
+    pub(super) fn compose(&self, sum: &Accumulator<V>, out: &mut Stack<V>) {
+        out.write_mean(sum, Some(&self.old));
+        out.fill_invalid(&self.world.validity);
     }
 }

@@ -238,7 +238,11 @@ impl World {
     /// Slots whose value is computed, in spatial order within objects.
     pub(crate) fn computed_slots(&self) -> Vec<u32> {
         let live = self.placed.par_iter().flat_map(|p| p.placement.elements.clone().into_par_iter().with_min_len(4096));
-        live.filter(|&i| self.geometry.areas[i as usize] > 0.0 && self.validity.is_valid(i as usize)).collect()
+        let is_computed = |&i: &u32| self.geometry.areas[i as usize] > 0.0 && self.validity.is_valid(i as usize);
+        let mut slots: Vec<u32> = live.filter(is_computed).collect();
+        // Objects that came late may lie in the slots of those that went.
+        slots.sort_unstable();
+        slots
     }
 
     /// Where rays of an element start.

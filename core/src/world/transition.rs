@@ -52,16 +52,16 @@ impl Transition {
             Arc::new(Layer {
                 name: layer.name.clone(),
                 lights: layer.lights.clone(),
-                direct: self.carry(&layer.direct, 1),
-                indirect: self.carry(&layer.indirect, 1),
-                variance: self.carry(&layer.variance, 1),
+                direct: self.carry(&layer.direct),
+                indirect: self.carry(&layer.indirect),
+                variance: self.carry(&layer.variance),
             })
         };
         let layers = if self.keeps_slots() { map.layers.clone() } else { map.layers.iter().map(layer).collect() };
         LightMap {
-            direct: self.carry(&map.direct, 1),
-            indirect: self.carry(&map.indirect, 1),
-            variance: self.carry(&map.variance, 1),
+            direct: self.carry(&map.direct),
+            indirect: self.carry(&map.indirect),
+            variance: self.carry(&map.variance),
             layers,
         }
     }
@@ -71,17 +71,25 @@ impl Transition {
         Arc::ptr_eq(&self.before.geometry, &self.after.geometry)
     }
 
-    /// Values in the slots of the new world, `per_slot` side by side.
-    pub(crate) fn carry<T: Copy + Default + Send + Sync>(&self, values: &[T], per_slot: usize) -> Vec<T> {
-        if self.keeps_slots() {
-            return values.par_iter().with_min_len(CHUNK).copied().collect();
-        }
+    /// Whether a slot of the new world holds the same element in both.
+    #[inline]
+    pub(crate) fn keeps(&self, slot: usize) -> bool {
         let (old, new) = (&self.before.geometry.owners, &self.after.geometry.owners);
-        let per_slot = per_slot.max(1);
-        let stays = |slot: usize| new[slot] != super::NO_OBJECT && old.get(slot) == Some(&new[slot]);
-        let value = |i: usize| values.get(i).copied().filter(|_| stays(i / per_slot)).unwrap_or_default();
-        let len = if values.is_empty() { 0 } else { new.len() * per_slot };
-        (0..len).into_par_iter().with_min_len(CHUNK).map(value).collect()
+        new[slot] != super::NO_OBJECT && old.get(slot) == Some(&new[slot])
+    }
+
+    /// Values in the slots of the new world.
+    pub(crate) fn carry<T: Copy + Default + Send + Sync>(&self, values: &[T]) -> Vec<T> {
+        if values.is_empty() { Vec::new() } else { self.carry_each(|slot| values[slot]) }
+    }
+
+    /// The same of what `value` tells of every slot of the old world.
+    pub(crate) fn carry_each<T: Default + Send>(&self, value: impl Fn(usize) -> T + Send + Sync) -> Vec<T> {
+        let slots = (0..self.after.slots()).into_par_iter().with_min_len(CHUNK);
+        if self.keeps_slots() {
+            return slots.map(value).collect();
+        }
+        slots.map(|slot| if self.keeps(slot) { value(slot) } else { T::default() }).collect()
     }
 
     /// Corners of everything that came or went.

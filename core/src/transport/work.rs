@@ -1,0 +1,123 @@
+//! What a running job is doing, and loops over slots on all threads.
+
+use std::ops::AddAssign;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use rayon::prelude::*;
+
+use super::Value;
+use crate::job::{Canceled, Observer};
+
+/// Elements per task: long enough to amortise, short enough that a cancel is seen within milliseconds.
+const CHUNK: usize = 64;
+
+/// Slots per task where little is done for each.
+const LONG_CHUNK: usize = 4096;
+
+/// A running job's ray counter and cancel flag, shared by all threads and touched once per chunk.
+pub(crate) struct Work<'a> {
+    observer: &'a dyn Observer,
+    rays: AtomicU64,
+}
+
+impl<'a> Work<'a> {
+    pub(crate) fn new(observer: &'a dyn Observer) -> Work<'a> {
+        Work { observer, rays: AtomicU64::new(0) }
+    }
+
+    pub(crate) fn rays(&self) -> u64 {
+        self.rays.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn observer(&self) -> &'a dyn Observer {
+        self.observer
+    }
+
+    /// The cancel flag as an error.
+    pub(crate) fn check(&self) -> Result<(), Canceled> {
+        if self.observer.canceled() { Err(Canceled) } else { Ok(()) }
+    }
+
+    /// Adds to the ray count.
+    pub(crate) fn count(&self, rays: u64) {
+        self.rays.fetch_add(rays, Ordering::Relaxed);
+    }
+
+    /// Evaluates `f(index, slot, &mut rays)` for all slots in parallel. Results do not depend on how the work is cut.
+    pub(crate) fn map<T: Send + Clone + Default>(
+        &self,
+        slots: &[u32],
+        f: impl Fn(usize, u32, &mut u64) -> T + Sync,
+    ) -> Result<Vec<T>, Canceled> {
+        let mut out = vec![T::default(); slots.len()];
+        out.par_chunks_mut(CHUNK).zip(slots.par_chunks(CHUNK)).enumerate().try_for_each(|(chunk, (out, slots))| {
+            self.check()?;
+            let mut rays = 0;
+            for (k, (out, &slot)) in out.iter_mut().zip(slots).enumerate() {
+                *out = f(chunk * CHUNK + k, slot, &mut rays);
+            }
+            self.count(rays);
+            Ok(())
+        })?;
+        Ok(out)
+    }
+
+    /// Adds `f(slot, &mut rays)` to the values of some slots, ascending, in parallel.
+    pub(crate) fn add<T: Send + AddAssign>(
+        &self,
+        slots: &[u32],
+        values: &mut [T],
+        f: impl Fn(u32, &mut u64) -> T + Sync,
+    ) -> Result<(), Canceled> {
+        pieces(slots, values, CHUNK).into_par_iter().try_for_each(|piece| {
+            self.check()?;
+            let mut rays = 0;
+            piece.for_each(|slot, value| *value += f(slot, &mut rays));
+            self.count(rays);
+            Ok(())
+        })
+    }
+}
+
+/// No light in so many slots: fresh memory is touched on all threads.
+pub(crate) fn black<V: Value>(slots: usize) -> Vec<V> {
+    let mut light = Vec::new();
+    blacken(&mut light, slots);
+    light
+}
+
+/// The same in memory that is there.
+pub(crate) fn blacken<V: Value>(light: &mut Vec<V>, slots: usize) {
+    (0..slots).into_par_iter().with_min_len(LONG_CHUNK).map(|_| V::default()).collect_into_vec(light);
+}
+
+/// Calls `f(slot, value)` for the values of some slots, ascending, in parallel.
+pub(crate) fn for_slots<T: Send>(slots: &[u32], values: &mut [T], f: impl Fn(u32, &mut T) + Sync) {
+    pieces(slots, values, LONG_CHUNK).into_par_iter().for_each(|piece| piece.for_each(&f));
+}
+
+/// Some slots, and the values from the first to the last of them.
+struct Piece<'a, T> {
+    slots: &'a [u32],
+    first: usize,
+    values: &'a mut [T],
+}
+
+impl<T> Piece<'_, T> {
+    fn for_each(self, mut f: impl FnMut(u32, &mut T)) {
+        self.slots.iter().for_each(|&slot| f(slot, &mut self.values[slot as usize - self.first]));
+    }
+}
+
+/// Divides ascending slots, and their values with them.
+fn pieces<'a, T>(slots: &'a [u32], values: &'a mut [T], chunk: usize) -> Vec<Piece<'a, T>> {
+    debug_assert!(slots.is_sorted(), "slots have to ascend");
+    let (mut left, mut end) = (values, 0);
+    let piece = |slots: &'a [u32]| {
+        let (first, last) = (slots[0] as usize, slots[slots.len() - 1] as usize);
+        let (own, behind) = std::mem::take(&mut left)[first - end..].split_at_mut(last + 1 - first);
+        (left, end) = (behind, last + 1);
+        Piece { slots, first, values: own }
+    };
+    slots.chunks(chunk).map(piece).collect()
+}
