@@ -22,9 +22,9 @@ pub(crate) struct Accumulator<V> {
     samples: u32,
     rounds: u32,
     /// Σ over slots of the variance of the mean, as the last round and the mean of those before it tell it.
-    last: f64,
+    by_last: f64,
     /// The same, as the scatter of all rounds tells it.
-    scatter: f64,
+    by_all: f64,
 }
 
 /// Slots per partial sum: fixed, so that sums do not depend on the number of threads.
@@ -41,8 +41,8 @@ impl<V: Value> Accumulator<V> {
             layer_squares: Vec::new(),
             samples: 0,
             rounds: 0,
-            last: 0.0,
-            scatter: 0.0,
+            by_last: 0.0,
+            by_all: 0.0,
         }
     }
 
@@ -76,7 +76,7 @@ impl<V: Value> Accumulator<V> {
         let add = |(mut sums, light): (Sums<V>, (&[V], &[V]))| sums.add(&round, light);
         let partials: Vec<(f64, f64)> = sums.into_par_iter().zip(light).map(add).collect();
         let (added, all) = partials.into_iter().fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
-        (self.last, self.scatter) = (added / f64::from(self.samples), all * self.per_square());
+        (self.by_last, self.by_all) = (added / f64::from(self.samples), all * self.per_square());
     }
 
     /// Mean of all rounds.
@@ -89,22 +89,24 @@ impl<V: Value> Accumulator<V> {
         self.rounds >= 2
     }
 
-    /// Variance of the mean of what is stated of the whole, mean over RGB: with rounds x_r of n_r samples and variance
-    /// σ²/n_r, Σ n_r (x_r − x̄)² / (R − 1) estimates σ², and the mean has σ² / Σ n_r. Low-discrepancy samples do better
-    /// than 1/n: the whole is scaled to what the last round and those before it, which weigh most, say.
-    pub(crate) fn variance(&self) -> impl IndexedParallelIterator<Item = f32> {
-        self.scaled(&self.squares)
+    /// How many layers there are.
+    pub(crate) fn layers(&self) -> usize {
+        self.weights.len()
     }
 
-    /// The same of each layer, layers of a slot side by side; empty for one layer.
-    pub(crate) fn layer_variance(&self) -> impl IndexedParallelIterator<Item = f32> {
-        self.scaled(&self.layer_squares)
-    }
-
-    /// Zero while nothing is known of it.
-    fn scaled<'a>(&self, squares: &'a [f32]) -> impl IndexedParallelIterator<Item = f32> + use<'a, V> {
+    /// Variance of the mean of what is stated, mean over RGB: with rounds x_r of n_r samples and variance σ²/n_r,
+    /// Σ n_r (x_r − x̄)² / (R − 1) estimates σ², and the mean has σ² / Σ n_r. Low-discrepancy samples do better than 1/n:
+    /// the whole is scaled to what the last round and those before it, which weigh most, say. Zero while nothing is known.
+    pub(crate) fn scatter(&self) -> Scatter<'_> {
         let factor = if self.knows_variance() { (self.per_square() * self.scale()) as f32 } else { 0.0 };
-        squares.par_iter().with_min_len(CHUNK).map(move |square| square * factor)
+        let layers = if self.weights.len() > 1 { &self.layer_squares } else { &self.squares };
+        Scatter { whole: &self.squares, layers, count: self.weights.len(), factor }
+    }
+
+    /// The same of the whole, per slot.
+    pub(crate) fn variance(&self) -> Vec<f32> {
+        let scatter = self.scatter();
+        (0..self.squares.len()).into_par_iter().with_min_len(CHUNK).map(|slot| scatter.of_whole(slot)).collect()
     }
 
     /// Variance of the mean per `squares`.
@@ -113,7 +115,31 @@ impl<V: Value> Accumulator<V> {
     }
 
     fn scale(&self) -> f64 {
-        if self.scatter > 0.0 { (self.last / self.scatter).clamp(LEAST_SCALE, 1.0) } else { 1.0 }
+        if self.by_all > 0.0 { (self.by_last / self.by_all).clamp(LEAST_SCALE, 1.0) } else { 1.0 }
+    }
+}
+
+/// Variance of a mean, as the scatter of its rounds tells it.
+#[derive(Clone, Copy)]
+pub(crate) struct Scatter<'a> {
+    whole: &'a [f32],
+    /// Layers of a slot side by side.
+    layers: &'a [f32],
+    count: usize,
+    factor: f32,
+}
+
+impl Scatter<'_> {
+    /// Of all layers together.
+    #[inline]
+    pub(crate) fn of_whole(&self, slot: usize) -> f32 {
+        self.whole[slot] * self.factor
+    }
+
+    /// Of one layer.
+    #[inline]
+    pub(crate) fn of_layer(&self, layer: usize, slot: usize) -> f32 {
+        self.layers[slot * self.count + layer] * self.factor
     }
 }
 
@@ -180,7 +206,7 @@ mod tests {
         }
         let total = f64::from(acc.samples());
         let truth = mean.iter().map(|m| (m / total - 0.5).powi(2)).sum::<f64>() / len as f64;
-        let stated = acc.variance().map(f64::from).collect::<Vec<f64>>().iter().sum::<f64>() / len as f64;
+        let stated = acc.variance().iter().map(|v| f64::from(*v)).sum::<f64>() / len as f64;
         // Both are means over 4,000 elements: relative standard deviations √(2/4000) and √(2/4/4000), seven of them.
         assert!((stated / truth - 1.0).abs() < 0.18, "{stated} {truth}");
     }

@@ -11,7 +11,7 @@ use crate::ambient::with_ambient;
 use crate::focus::Focus;
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer, Pass, Progress};
-use crate::layers::{Computed, Header, Stack, groups_of, weights_of, weights_within, with_layers};
+use crate::layers::{Apart, Computed, Header, Stack, groups_of, weights_of, weights_within, with_layers};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
 use crate::rounds::{Estimate, First, Goal, Phase, Round, Rounds};
@@ -46,8 +46,8 @@ pub(crate) fn bake_map(
     work: &Work,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
     if headers.is_empty() {
-        let finish = |stack: &mut Stack<Vec3>| improve(stack.take_map());
-        return bake_stack(world, &[Vec3::ONE], &finish, goal, work);
+        let finish = |layers: Apart| improve(layers.into_map());
+        return bake_stack::<Vec3>(world, &[Vec3::ONE], &finish, goal, work);
     }
     let weights = weights_of(headers, &world.scene);
     let finish = |computed: Computed| improve(computed.into_map(&weights));
@@ -75,28 +75,26 @@ fn bake_headers<V: Value>(
     goal: &Goal,
     work: &Work,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
-    let finish = |stack: &mut Stack<V>| finish(stack.computed(headers));
-    bake_stack(world, weights_within(weights), &finish, goal, work)
+    let finish = |layers: Apart| finish(layers.named(headers));
+    bake_stack::<V>(world, weights_within(weights), &finish, goal, work)
 }
 
 /// Bakes some layers together; none where no round was run.
 fn bake_stack<V: Value>(
     world: &World,
     weights: &[Vec3],
-    finish: &dyn Fn(&mut Stack<V>) -> LightMap,
+    finish: &dyn Fn(Apart) -> LightMap,
     goal: &Goal,
     work: &Work,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
     let baker = Baker::new(world, weights, goal.seed, work);
     let first = goal.focus().map(|focus| baker.look_first(focus, finish, goal)).transpose()?.flatten();
-    let mut stack = Stack::default();
     let compose = |sum: &Accumulator<V>| {
-        baker.compose(sum, &mut stack);
-        if let Some(first) = &first {
-            first.merge(&mut stack, sum.samples(), baker.slots.iter().copied(), None);
-            stack.fill_invalid(&world.validity);
-        }
-        finish(&mut stack)
+        let Some(first) = &first else { return finish(Apart::of_mean(sum, None, &world.validity)) };
+        let mut stack = Stack::of_mean(sum, None, &world.validity);
+        first.merge(&mut stack, sum.samples(), baker.slots.iter().copied(), None);
+        stack.fill_invalid(&world.validity);
+        finish(Apart::of_stack(&stack, weights.len()))
     };
     let stated = |map: &LightMap| Some(map.estimated_rmse(world.areas()));
     let phase = if first.is_some() { Phase::Rest } else { Phase::Whole };
@@ -129,17 +127,11 @@ impl<'a> Baker<'a> {
         Baker { world, slots, subset, rows, hint: OnceCell::new(), weights, seed: subseed(seed, 0x4006), work }
     }
 
-    /// Writes the mean of all rounds over what `out` holds.
-    pub(crate) fn compose<V: Value>(&self, sum: &Accumulator<V>, out: &mut Stack<V>) {
-        out.write_mean(sum, None);
-        out.fill_invalid(&self.world.validity);
-    }
-
     /// Bakes what is looked at before the rest, which is shown as the solution on the subset has it.
     fn look_first<V: Value>(
         &self,
         focus: &Focus,
-        finish: &dyn Fn(&mut Stack<V>) -> LightMap,
+        finish: &dyn Fn(Apart) -> LightMap,
         goal: &Goal,
     ) -> Result<Option<First<V>>, Canceled> {
         let is_seen = focus.covers(self.world);
@@ -149,10 +141,10 @@ impl<'a> Baker<'a> {
         }
         let mut last = None;
         let compose = |sum: &Accumulator<V>| {
-            let mut stack = Stack::default();
-            self.compose(sum, &mut stack);
-            last = Some((stack.clone(), sum.samples()));
-            finish(&mut stack)
+            let stack = Stack::of_mean(sum, None, &self.world.validity);
+            let map = finish(Apart::of_stack(&stack, self.weights.len()));
+            last = Some((stack, sum.samples()));
+            map
         };
         let (budget, seed) = (&goal.first_budget(), goal.first_seed());
         let (world, weights) = (self.world, self.weights);
@@ -169,7 +161,7 @@ impl<'a> Baker<'a> {
     fn show_estimate<V: Value>(
         &self,
         round: &Round<V>,
-        finish: &dyn Fn(&mut Stack<V>) -> LightMap,
+        finish: &dyn Fn(Apart) -> LightMap,
         goal: &Goal,
     ) -> Result<(), Canceled> {
         let observer = self.work.observer();
@@ -177,13 +169,13 @@ impl<'a> Baker<'a> {
             return Ok(());
         }
         (round.begin)(Pass::Direct, 0.0);
-        let direct = Hint::direct(self.world, &self.slots, self.seed, self.work)?;
+        let direct: Vec<V> = Hint::direct(self.world, &self.slots, self.seed, self.work)?;
         self.hint_of(&direct);
-        let mut stack = with_ambient(self.world, direct, self.weights.len(), self.seed, self.work)?;
+        let stack = with_ambient(self.world, direct, self.weights.len(), self.seed, self.work)?;
         let round_samples = round.samples;
         let rays = self.work.rays();
         observer.estimate(
-            &Arc::new(finish(&mut stack)),
+            &Arc::new(finish(Apart::of_stack(&stack, self.weights.len()))),
             &Progress { round_samples, rays, ..Progress::nothing(Pass::Direct) },
         );
         Ok(())
@@ -202,7 +194,7 @@ impl<'a> Baker<'a> {
         (round.begin)(Pass::Direct, 0.0);
         // Earlier rounds choose the number of samples, never what they find: the mean stays free of bias.
         let effort = match round.sum.knows_variance() {
-            true => Effort::new(world, &round.sum.variance().collect::<Vec<f32>>()),
+            true => Effort::new(world, &round.sum.variance()),
             false => Effort::default(),
         };
         add_direct(world, &self.slots, (round.samples, &effort), round.seed, work, direct)?;

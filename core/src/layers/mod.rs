@@ -5,6 +5,7 @@
 //! the reference, the same for all its lights. The light map is the sum of weight × layer. A map has no layers until
 //! somebody relights a light or groups lights: "model only what a scene needs".
 
+mod apart;
 mod plan;
 mod regroup;
 mod stack;
@@ -21,8 +22,9 @@ use crate::lightmap::LightMap;
 use crate::scene::Scene;
 use crate::world::{Emitters, World};
 
+pub(crate) use apart::{Apart, Computed, Old};
 pub(crate) use plan::{Header, groups_of, headers_of_layers};
-pub(crate) use stack::{Computed, Stack, total_of_layers, weights_within};
+pub(crate) use stack::{Stack, weights_within};
 pub(crate) use update::{moved_layers, update_layers, with_layers};
 
 /// A map has at most so many layers. Where more lights are relit one by one, those that are left share a layer.

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::plan::{Header, Plan, wants_layers};
 use super::regroup::{Pieces, renamed};
-use super::{Computed, Layer, Stack, correlation, total_of_layers, weights_of, weights_within, whole, whole_with};
+use super::{Apart, Computed, Layer, Old, correlation, weights_of, weights_within, whole, whole_with};
 use crate::bake::bake_layers;
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer, Pass, Progress};
@@ -213,13 +213,12 @@ fn run_change<V: Value>(
     let around = transition.carry(&around);
     let stage = Stage {
         transition: change.transition,
-        before_total: total_of_layers(&change.old, transition.before.slots()),
-        old: Stack::<V>::of_layers(&change.old, &map.variance, change.transition),
+        old: Old::of_layers(&change.old, &map.variance, change.transition),
         weights: weights_within(&change.weights),
         around: Some(&around),
-        finish: &|stack: &mut Stack<V>| finish(stack.computed(&change.headers)),
+        finish: &|layers: Apart| finish(layers.named(&change.headers)),
     };
-    run_stage(stage, goal, work)
+    run_stage::<V>(&stage, goal, work)
 }
 
 /// One snapshot of a map that no ray was needed for.

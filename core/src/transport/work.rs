@@ -121,3 +121,34 @@ fn pieces<'a, T>(slots: &'a [u32], values: &'a mut [T], chunk: usize) -> Vec<Pie
     };
     slots.chunks(chunk).map(piece).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::job::Unobserved;
+    use crate::random::Pcg32;
+
+    /// Whatever slots there are, every one of them is met once, and nothing beside them.
+    #[test]
+    fn loops_over_slots_meet_each_once() {
+        let mut rng = Pcg32::new(5, 6);
+        for len in [0, 1, 63, 64, 65, 5000, 20_000] {
+            for part in [0.0, 0.01, 0.5, 1.0] {
+                let slots: Vec<u32> = (0..len).filter(|_| rng.next_f32() < part).collect();
+                let mut values = vec![1; len as usize];
+                let work = Work::new(&Unobserved);
+                let count = |slot: u32, rays: &mut u64| {
+                    *rays += 1;
+                    slot
+                };
+                work.add(&slots, &mut values, count).expect("nobody cancels");
+                assert_eq!(work.rays(), slots.len() as u64);
+                let mut expected = vec![1; len as usize];
+                slots.iter().for_each(|&slot| expected[slot as usize] += slot);
+                assert!(values == expected, "{len} and {part}");
+                for_slots(&slots, &mut values, |slot, value| *value -= slot);
+                assert!(values.iter().all(|value| *value == 1), "{len} and {part}");
+            }
+        }
+    }
+}

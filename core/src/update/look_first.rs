@@ -10,7 +10,6 @@ use super::updater::{Extents, Updater};
 use crate::accumulate::Accumulator;
 use crate::focus::Focus;
 use crate::job::Canceled;
-use crate::layers::Stack;
 use crate::random::subseed;
 use crate::rounds::{Estimate, First, Goal, Phase, Round, Rounds};
 use crate::solve::Rows;
@@ -70,13 +69,13 @@ impl<V: Value> Updater<'_, V> {
         let look = self.look(is_seen);
         let mut last = None;
         let compose = |s: &Accumulator<V>| {
-            let mut stack = Stack::default();
-            self.compose(s, &mut stack);
+            let mut stack = self.compose(s);
             let unseen = self.static_rows.iter().copied().filter(|&slot| !look.is_seen[slot as usize]);
-            stack.take(&self.old, unseen);
+            stack.take(self.old(), unseen);
             stack.fill_invalid(&self.world.validity);
-            last = Some((stack.clone(), s.samples()));
-            (self.stage.finish)(&mut stack)
+            let map = self.finish(&stack);
+            last = Some((stack, s.samples()));
+            map
         };
         let (budget, seed) = (&goal.first_budget(), goal.first_seed());
         // The rest of the map is out of date: nothing can be stated about the whole.

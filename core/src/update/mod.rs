@@ -24,14 +24,13 @@ use std::cell::OnceCell;
 use std::sync::Arc;
 
 use glam::Vec3;
-use rayon::prelude::*;
 
 use self::updater::Updater;
 use crate::accumulate::Accumulator;
 use crate::bake::Baker;
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer};
-use crate::layers::{Stack, update_layers};
+use crate::layers::{Apart, Old, update_layers};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
 use crate::refine::refine_with;
@@ -94,34 +93,31 @@ fn update_whole(
     goal: &Goal,
     work: &Work,
 ) -> Result<Option<Updated>, Canceled> {
-    let finish = |stack: &mut Stack<Vec3>| stack.take_map();
-    let before_total = (0..map.len()).into_par_iter().with_min_len(4096).map(|slot| map.total(slot)).collect();
-    let old = Stack::of_whole(map, transition);
-    run_stage(Stage { transition, before_total, old, weights: &[Vec3::ONE], around: None, finish: &finish }, goal, work)
+    let (old, finish) = (Old::of_map(map, transition), Apart::into_map);
+    let stage = Stage { transition, old, weights: &[Vec3::ONE], around: None, finish: &finish };
+    run_stage::<Vec3>(&stage, goal, work)
 }
 
 /// An update of some layers together.
-pub(crate) struct Stage<'a, V> {
+pub(crate) struct Stage<'a> {
     /// Lights are those of the layers only, at reference strength.
     pub transition: &'a Transition,
-    /// All light that is right for `transition.before`, in its slots.
-    pub before_total: Vec<V>,
-    /// That light in the slots of the new world.
-    pub old: Stack<V>,
+    /// All light that is right for `transition.before`.
+    pub old: Old<'a>,
     /// What each layer weighs in the whole.
     pub weights: &'a [Vec3],
     /// All light there is before the change, direct + indirect, per slot of the new world; none where it is the old
     /// light of this stage.
     pub around: Option<&'a [Vec3]>,
-    /// Makes a light map of the layers so far, which are of no use afterwards.
-    pub finish: &'a dyn Fn(&mut Stack<V>) -> LightMap,
+    /// Makes a light map of the layers so far.
+    pub finish: &'a dyn Fn(Apart) -> LightMap,
 }
 
 /// Runs a stage to its goal; none where the observer planned no round.
-pub(crate) fn run_stage<V: Value>(stage: Stage<V>, goal: &Goal, work: &Work) -> Result<Option<Updated>, Canceled> {
+pub(crate) fn run_stage<V: Value>(stage: &Stage, goal: &Goal, work: &Work) -> Result<Option<Updated>, Canceled> {
     let (world, budget, seed) = (&stage.transition.after, goal.budget, goal.seed);
     let (weights, finish) = (stage.weights, stage.finish);
-    let updater = Updater::new(stage, work);
+    let updater = Updater::<V>::new(stage, work);
     let first = updater.come_first(goal, work)?;
     let extents = updater.extents(|_| true);
     let baker = OnceCell::new();
@@ -134,25 +130,18 @@ pub(crate) fn run_stage<V: Value>(stage: Stage<V>, goal: &Goal, work: &Work) -> 
         }
         baker.get_or_init(|| Baker::new(world, weights, seed, work)).round(r, out)
     };
-    let mut stack = Stack::default();
     let compose = |s: &Accumulator<V>| {
-        match (baker.get(), &first) {
-            (Some(baker), _) => baker.compose(s, &mut stack),
-            (None, None) => updater.compose(s, &mut stack),
-            (None, Some(first)) => {
-                updater.compose(s, &mut stack);
-                updater.merge(first, &mut stack, s.samples());
-            }
-        }
-        finish(&mut stack)
+        finish(match (baker.get(), &first) {
+            (Some(_), _) => Apart::of_mean(s, None, &world.validity),
+            (None, None) => Apart::of_mean(s, Some(&stage.old), &world.validity),
+            (None, Some(first)) => Apart::of_stack(&updater.merge(first, s), weights.len()),
+        })
     };
     let stated = |map: &LightMap| Some(map.estimated_rmse(world.areas()));
     // What the old map brings along in noise no number of samples of the change takes away.
     let carried = updater.carried_variance();
     let enough = |s: &Accumulator<V>| {
-        budget.target_rmse.is_some()
-            && s.knows_variance()
-            && updater.mean(&s.variance().collect::<Vec<f32>>()) < SETTLED * carried
+        budget.target_rmse.is_some() && s.knows_variance() && updater.mean(&s.variance()) < SETTLED * carried
     };
     let phase = if first.is_some() { Phase::Rest } else { Phase::Whole };
     let rounds = Rounds { world, weights, budget, seed, work, phase };

@@ -195,7 +195,7 @@ impl<V: Value> Updater<'_, V> {
     /// How well a change has to be known beside the noise that the old map has anyway, up to 1.
     fn weight_of(&self, amounts: &[f32]) -> f64 {
         let squares: Vec<f32> = amounts.par_iter().with_min_len(CHUNK).map(|amount| amount * amount).collect();
-        let carried = self.mean(&self.old.variance);
+        let carried = self.carried_variance();
         let ratio = if carried > 0.0 { self.mean(&squares) / carried } else { 1.0 };
         if ratio.is_finite() { ratio.clamp(LEAST_WEIGHT, 1.0) } else { 1.0 }
     }

@@ -34,17 +34,15 @@ impl<V: Value> Updater<'_, V> {
             return Ok(None);
         }
         let known = self.know_for_tiles(goal, work)?;
-        let mut stack = Stack::default();
         let mut first = First { stack: self.carried(&known), samples: vec![0; self.world.slots()] };
         for (index, tile) in order.iter().enumerate() {
             let Some(sum) = self.tile(tile, &known, goal, (work, index as u64))? else { break };
-            self.compose(&sum, &mut stack);
-            first.stack.take(&stack, tile.iter().copied());
+            first.stack.take(&self.compose(&sum), tile.iter().copied());
             first.stack.fill_invalid(&self.world.validity);
             tile.iter().for_each(|&slot| first.samples[slot as usize] = sum.samples());
             let done = Progress { rays: work.rays(), ..Progress::at_once(Pass::FinalGather, 0, None) };
             work.observer().progress(&done);
-            work.observer().snapshot(&Arc::new((self.stage.finish)(&mut first.stack.clone())), &done);
+            work.observer().snapshot(&Arc::new(self.finish(&first.stack)), &done);
         }
         Ok(first.samples.iter().any(|&samples| samples > 0).then_some(first))
     }
@@ -88,7 +86,7 @@ impl<V: Value> Updater<'_, V> {
 
     /// What is shown before the first tile: old light, and on new rows, which have none, what is known roughly.
     fn carried(&self, known: &Known<V>) -> Stack<V> {
-        let mut stack = self.old.clone();
+        let mut stack = self.old().clone();
         for &slot in &self.transition.new_rows {
             let slot = slot as usize;
             (stack.direct[slot], stack.indirect[slot]) = (known.parts.direct[slot], known.indirect[slot]);

@@ -11,7 +11,8 @@ use super::propagate::Aims;
 use super::{Stage, direct, source};
 use crate::accumulate::Accumulator;
 use crate::job::{Canceled, Pass};
-use crate::layers::Stack;
+use crate::layers::{Apart, Stack};
+use crate::lightmap::LightMap;
 use crate::rounds::{Estimate, First, Round};
 use crate::solve::{Rows, Subset};
 use crate::transport::{Spots, Value, Work};
@@ -35,9 +36,9 @@ pub(super) struct Updater<'a, V> {
     pub(super) transition: &'a Transition,
     pub(super) world: &'a World,
     pub(super) work: &'a Work<'a>,
-    pub(super) stage: Stage<'a, V>,
-    /// The old light in the new slots; zero on new rows.
-    pub(super) old: Stack<V>,
+    pub(super) stage: &'a Stage<'a>,
+    /// The old light in the new slots, for what is looked at first; zero on new rows.
+    old: OnceCell<Stack<V>>,
     /// Its sum, direct and indirect, with new rows' own values as they were found last: what is looked up of the new scene.
     pub(super) light: RefCell<Vec<V>>,
     /// That sum with new rows black; empty where nothing is repainted.
@@ -62,19 +63,19 @@ pub(super) struct Updater<'a, V> {
 }
 
 impl<'a, V: Value> Updater<'a, V> {
-    pub(super) fn new(mut stage: Stage<'a, V>, work: &'a Work<'a>) -> Updater<'a, V> {
+    pub(super) fn new(stage: &'a Stage<'a>, work: &'a Work<'a>) -> Updater<'a, V> {
         let transition = stage.transition;
         let world = &transition.after;
-        let before_total = std::mem::take(&mut stage.before_total);
-        let mut old = std::mem::replace(&mut stage.old, Stack::black(0, 1));
         let mut is_new = vec![false; world.slots()];
         transition.new_rows.iter().for_each(|&slot| is_new[slot as usize] = true);
-        old.clear(&transition.new_rows);
         let static_rows: Vec<u32> = world.computed_slots().into_iter().filter(|&i| !is_new[i as usize]).collect();
         let mut is_static = vec![false; world.slots()];
         static_rows.iter().for_each(|&slot| is_static[slot as usize] = true);
         let subset = Subset::new(world);
-        let (light, repaint) = (old.total(), transition.repaint());
+        let before_total = stage.old.total();
+        let mut light: Vec<V> = transition.carry(&before_total);
+        transition.new_rows.iter().for_each(|&slot| light[slot as usize] = V::default());
+        let repaint = transition.repaint();
         let is_repainted = repaint.iter().any(|change| *change != Vec3::ZERO);
         Updater {
             transition,
@@ -84,7 +85,7 @@ impl<'a, V: Value> Updater<'a, V> {
             old_total: if is_repainted { light.clone() } else { Vec::new() },
             light: RefCell::new(light),
             before_total,
-            old,
+            old: OnceCell::new(),
             rows: Arc::new(Rows::all(&subset)),
             source: source::Source::new(transition),
             static_rows,
@@ -100,12 +101,21 @@ impl<'a, V: Value> Updater<'a, V> {
 
     /// Area-weighted mean over the rows that keep an old value.
     pub(super) fn mean(&self, values: &[f32]) -> f64 {
-        self.world.area_mean(self.static_rows.iter().map(|&slot| slot as usize), |slot| f64::from(values[slot]))
+        self.mean_of(|slot| values[slot])
     }
 
-    /// The same of what the old map brings along.
+    /// The same of the variance that the old map brings along.
     pub(super) fn carried_variance(&self) -> f64 {
-        self.mean(&self.old.variance)
+        self.mean_of(|slot| self.stage.old.variance(slot))
+    }
+
+    fn mean_of(&self, value: impl Fn(usize) -> f32) -> f64 {
+        self.world.area_mean(self.static_rows.iter().map(|&slot| slot as usize), |slot| f64::from(value(slot)))
+    }
+
+    /// The old light in the new slots; zero on new rows.
+    pub(super) fn old(&self) -> &Stack<V> {
+        self.old.get_or_init(|| self.stage.old.stack())
     }
 
     /// Element by element where `is_wanted` says so, and S only near the edit; elsewhere on the subset.
@@ -119,10 +129,12 @@ impl<'a, V: Value> Updater<'a, V> {
     }
 
     /// The mean of what was done first and what followed, by samples.
-    pub(super) fn merge(&self, first: &First<V>, stack: &mut Stack<V>, samples: u32) {
+    pub(super) fn merge(&self, first: &First<V>, sum: &Accumulator<V>) -> Stack<V> {
+        let mut stack = self.compose(sum);
         let rows = self.static_rows.iter().chain(&self.transition.new_rows).copied();
-        first.merge(stack, samples, rows, Some(&self.old));
+        first.merge(&mut stack, sum.samples(), rows, Some(self.old()));
         stack.fill_invalid(&self.world.validity);
+        stack
     }
 
     /// One independent estimate: changes on static rows, values on new rows.
@@ -189,9 +201,13 @@ impl<'a, V: Value> Updater<'a, V> {
         flags
     }
 
-    /// Old values plus the mean change on static rows, mean values on new rows; written over what `out` holds.
-    pub(super) fn compose(&self, sum: &Accumulator<V>, out: &mut Stack<V>) {
-        out.write_mean(sum, Some(&self.old));
-        out.fill_invalid(&self.world.validity);
+    /// Old values plus the mean change on static rows, mean values on new rows.
+    pub(super) fn compose(&self, sum: &Accumulator<V>) -> Stack<V> {
+        Stack::of_mean(sum, Some(self.old()), &self.world.validity)
+    }
+
+    /// The map of what lies side by side.
+    pub(super) fn finish(&self, stack: &Stack<V>) -> LightMap {
+        (self.stage.finish)(Apart::of_stack(stack, self.stage.weights.len()))
     }
 }

@@ -1,0 +1,291 @@
+//! Layers each by itself, as they are kept and published.
+
+use std::ops::AddAssign;
+use std::sync::Arc;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::{Header, Layer, Stack, whole, whole_with};
+use crate::accumulate::Accumulator;
+use crate::lightmap::LightMap;
+use crate::transport::Value;
+use crate::world::{Transition, Validity};
+
+/// Slots per task: all layers of theirs fit in the cache.
+const CHUNK: usize = 256;
+
+/// A map or a layer of one.
+#[derive(Clone, Copy)]
+struct Part<'a> {
+    direct: &'a [Vec3],
+    indirect: &'a [Vec3],
+    variance: &'a [f32],
+}
+
+/// Light that is there before an edit, layer by layer.
+pub(crate) struct Old<'a> {
+    /// In the slots of the world before it.
+    parts: Vec<Part<'a>>,
+    /// Of the weighted sum of all.
+    variance: &'a [f32],
+    /// Per slot of the world after it: whether its old value stays.
+    keeps: Vec<bool>,
+}
+
+impl<'a> Old<'a> {
+    /// All light of a map together.
+    pub(crate) fn of_map(map: &'a LightMap, transition: &Transition) -> Old<'a> {
+        let part = Part { direct: &map.direct, indirect: &map.indirect, variance: &map.variance };
+        Old { parts: vec![part], variance: &map.variance, keeps: kept(transition) }
+    }
+
+    /// Layers whose weighted sum has `variance`; for a single one its own is taken.
+    pub(crate) fn of_layers(layers: &'a [Arc<Layer>], variance: &'a [f32], transition: &Transition) -> Old<'a> {
+        let part = |l: &'a Arc<Layer>| Part { direct: &l.direct, indirect: &l.indirect, variance: &l.variance };
+        let parts: Vec<Part> = layers.iter().map(part).collect();
+        let variance = if let [part] = *parts { part.variance } else { variance };
+        Old { parts, variance, keeps: kept(transition) }
+    }
+
+    /// Variance of all light together, of a slot whose value stays.
+    #[inline]
+    pub(crate) fn variance(&self, slot: usize) -> f32 {
+        self.variance[slot]
+    }
+
+    /// Direct and indirect light, side by side, in the slots of the world before the edit.
+    pub(crate) fn total<V: Value>(&self) -> Vec<V> {
+        let slots = self.parts.first().map_or(0, |part| part.direct.len());
+        let total = |slot| self.side_by_side(|part| part.direct[slot] + part.indirect[slot]);
+        (0..slots).into_par_iter().with_min_len(CHUNK).map(total).collect()
+    }
+
+    /// The same apart, with variances, in the slots of the world after it: zero where no value stays.
+    pub(crate) fn stack<V: Value>(&self) -> Stack<V> {
+        let slots = || self.keeps.par_iter().enumerate().with_min_len(CHUNK);
+        let light = |of: for<'p> fn(&Part<'p>) -> &'p [Vec3]| -> Vec<V> {
+            let value = |slot: usize| self.side_by_side(|part| of(part)[slot]);
+            slots().map(|(slot, keeps)| if *keeps { value(slot) } else { V::default() }).collect()
+        };
+        let layers = if self.parts.len() > 1 { &*self.parts } else { &[] };
+        Stack {
+            direct: light(|part| part.direct),
+            indirect: light(|part| part.indirect),
+            variance: slots().map(|(slot, keeps)| if *keeps { self.variance[slot] } else { 0.0 }).collect(),
+            layer_variance: (self.keeps.iter().enumerate())
+                .flat_map(|(slot, keeps)| layers.iter().map(move |l| if *keeps { l.variance[slot] } else { 0.0 }))
+                .collect(),
+        }
+    }
+
+    #[inline]
+    fn side_by_side<V: Value>(&self, of: impl Fn(&Part) -> Vec3) -> V {
+        let mut value = V::default();
+        self.parts.iter().zip(0..).for_each(|(part, k)| value.add_to_layer(k, of(part)));
+        value
+    }
+
+    /// Adds what stays of some values to those of the slots from `first` on.
+    #[inline]
+    fn add<T: AddAssign + Copy>(&self, values: &[T], first: usize, to: &mut [T]) {
+        let slots = to.iter_mut().zip(&self.keeps[first..]).zip(first..);
+        slots.filter(|((_, keeps), _)| **keeps).for_each(|((to, _), slot)| *to += values[slot]);
+    }
+}
+
+/// New rows keep no value, wherever they are.
+fn kept(transition: &Transition) -> Vec<bool> {
+    let slots = (0..transition.after.slots()).into_par_iter().with_min_len(CHUNK);
+    let mut keeps: Vec<bool> = slots.map(|slot| transition.keeps(slot)).collect();
+    transition.new_rows.iter().for_each(|&slot| keeps[slot as usize] = false);
+    keeps
+}
+
+/// Layers that were computed along the same rays.
+pub(crate) struct Apart {
+    /// Without names.
+    layers: Vec<Layer>,
+    /// Variance of their weighted sum. None for a single one, which is computed at its own scale.
+    variance: Option<Vec<f32>>,
+}
+
+impl Apart {
+    /// The mean of all rounds, with its variance, added to old light, which is independent of it. Elements inside solids
+    /// take their neighbours' values.
+    pub(crate) fn of_mean<V: Value>(sum: &Accumulator<V>, old: Option<&Old>, validity: &Validity) -> Apart {
+        let (mean, scatter) = (sum.mean(), sum.scatter());
+        let (layers, slots) = (sum.layers(), mean.direct.len());
+        let light = |values: &[V], of: for<'p> fn(&Part<'p>) -> &'p [Vec3]| {
+            apart(layers, slots, |k, first, out: &mut [Vec3]| {
+                out.iter_mut().zip(&values[first..]).for_each(|(out, value)| *out = value.layer(k));
+                old.iter().for_each(|old| old.add(of(&old.parts[k]), first, out));
+            })
+        };
+        let (direct, indirect) = (light(&mean.direct, |p| p.direct), light(&mean.indirect, |p| p.indirect));
+        let variance = apart(layers, slots, |k, first, out: &mut [f32]| {
+            out.iter_mut().zip(first..).for_each(|(out, slot)| *out = scatter.of_layer(k, slot));
+            old.iter().for_each(|old| old.add(old.parts[k].variance, first, out));
+        });
+        let whole = apart(usize::from(layers > 1), slots, |_, first, out: &mut [f32]| {
+            out.iter_mut().zip(first..).for_each(|(out, slot)| *out = scatter.of_whole(slot));
+            old.iter().for_each(|old| old.add(old.variance, first, out));
+        });
+        let mut apart = Apart::new(direct, indirect, variance, whole);
+        apart.fill(validity);
+        apart
+    }
+
+    /// What lies side by side, of so many layers.
+    pub(crate) fn of_stack<V: Value>(stack: &Stack<V>, layers: usize) -> Apart {
+        let slots = stack.direct.len();
+        let light = |values: &[V]| {
+            apart(layers, slots, |k, first, out: &mut [Vec3]| {
+                out.iter_mut().zip(&values[first..]).for_each(|(out, value)| *out = value.layer(k));
+            })
+        };
+        let variance = apart(layers, slots, |k, first, out: &mut [f32]| match layers {
+            1 => out.copy_from_slice(&stack.variance[first..][..out.len()]),
+            _ => out.iter_mut().zip(first..).for_each(|(out, slot)| *out = stack.layer_variance[slot * layers + k]),
+        });
+        let whole = (layers > 1).then(|| stack.variance.clone()).into_iter().collect();
+        Apart::new(light(&stack.direct), light(&stack.indirect), variance, whole)
+    }
+
+    fn new(direct: Vec<Vec<Vec3>>, indirect: Vec<Vec<Vec3>>, variance: Vec<Vec<f32>>, whole: Vec<Vec<f32>>) -> Apart {
+        let parts = direct.into_iter().zip(indirect).zip(variance);
+        let layer = |((direct, indirect), variance)| Layer { direct, indirect, variance, ..Layer::default() };
+        Apart { layers: parts.map(layer).collect(), variance: whole.into_iter().next() }
+    }
+
+    fn fill(&mut self, validity: &Validity) {
+        self.layers.par_iter_mut().for_each(|layer| {
+            validity.fill(&mut layer.direct);
+            validity.fill(&mut layer.indirect);
+            validity.fill_scalars(&mut layer.variance, 1);
+        });
+        self.variance.iter_mut().for_each(|variance| validity.fill_scalars(variance, 1));
+    }
+
+    /// The layers, with their headers.
+    pub(crate) fn named(self, headers: &[Header]) -> Computed {
+        let named = |(layer, header): (Layer, &Header)| {
+            Arc::new(Layer { name: header.name.clone(), lights: header.lights.clone(), ..layer })
+        };
+        Computed { layers: self.layers.into_iter().zip(headers).map(named).collect(), variance: self.variance }
+    }
+
+    /// A single layer as a map without any.
+    pub(crate) fn into_map(self) -> LightMap {
+        let Layer { direct, indirect, variance, .. } = self.layers.into_iter().next().unwrap_or_default();
+        LightMap { direct, indirect, variance, layers: Vec::new() }
+    }
+}
+
+/// Values of so many layers, each by itself. `write(layer, first, values)` writes those of the slots from `first` on: of all
+/// layers at once, since they lie side by side, and read one by one each would bring the others along from memory.
+fn apart<T: Default + Clone + Send>(
+    layers: usize,
+    slots: usize,
+    write: impl Fn(usize, usize, &mut [T]) + Sync,
+) -> Vec<Vec<T>> {
+    let mut out: Vec<Vec<T>> = (0..layers).into_par_iter().map(|_| vec![T::default(); slots]).collect();
+    let mut chunks: Vec<_> = out.iter_mut().map(|layer| layer.chunks_mut(CHUNK)).collect();
+    let of_chunk = |first| (first, chunks.iter_mut().filter_map(Iterator::next).collect());
+    let tasks: Vec<(usize, Vec<&mut [T]>)> = (0..slots).step_by(CHUNK).map(of_chunk).collect();
+    tasks.into_par_iter().for_each(|(first, layers)| {
+        layers.into_iter().enumerate().for_each(|(k, values)| write(k, first, values));
+    });
+    out
+}
+
+/// Layers with their headers.
+pub(crate) struct Computed {
+    pub layers: Vec<Arc<Layer>>,
+    /// Variance of their weighted sum. None for a single one, which is computed at its own scale.
+    pub variance: Option<Vec<f32>>,
+}
+
+impl Computed {
+    /// The map of these layers alone.
+    pub(crate) fn into_map(self, weights: &[Vec3]) -> LightMap {
+        match self.variance {
+            Some(variance) => whole_with(self.layers, weights, variance),
+            None => whole(self.layers, weights, 0.0),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DMat4;
+
+    use super::*;
+    use crate::edit::Edit;
+    use crate::random::Pcg32;
+    use crate::rounds::Estimate;
+    use crate::scene::{Material, Mesh, Object, Scene};
+    use crate::transport::Layered;
+    use crate::world::{Stated, World, WorldOptions};
+
+    fn cube(name: &str) -> Object {
+        Object::new(name, Mesh::cuboid(Vec3::ZERO, Vec3::ONE), Material::diffuse(Vec3::splat(0.5)))
+    }
+
+    /// One cube in place of another, half of it in a third: slots that stay, go, come, and lie in a solid.
+    fn transition() -> Transition {
+        let objects = vec![cube("stays"), cube("goes"), cube("stays, too")];
+        let options = WorldOptions { spacing: Some(0.1), ..WorldOptions::default() };
+        let world = World::new(Scene::from_objects(objects), &options).expect("three cubes");
+        let asset = Arc::new(Scene::from_objects(vec![cube("comes")]));
+        let transform = DMat4::from_translation(glam::DVec3::new(0.5, 0.5, 0.0));
+        let edits =
+            [Edit::Remove { objects: vec!["goes".into()] }, Edit::Insert { asset, name: "comes".into(), transform }];
+        world.apply(&edits).expect("edits")
+    }
+
+    /// Layers that are taken apart at once, and by way of all side by side, are the same, bit for bit.
+    fn both_ways_agree<V: Value>(layers: usize, weights: &[Vec3]) {
+        let transition = transition();
+        let (before, after) = (transition.before.slots(), transition.after.slots());
+        assert!(!transition.new_rows.is_empty() && (0..after).any(|slot| !transition.after.is_valid(slot)));
+        let mut rng = Pcg32::new(7, layers as u64);
+        let mut light = |slots: usize| -> Vec<Vec3> { (0..slots).map(|_| Vec3::splat(rng.next_f32())).collect() };
+        let mut sum = Accumulator::<V>::new(weights, Stated::Full);
+        for samples in [4, 4, 8] {
+            let mut of = |_| {
+                let parts: Vec<Vec<Vec3>> = (0..layers).map(|_| light(after)).collect();
+                let value = |slot: usize| {
+                    parts.iter().zip(0..).fold(V::default(), |mut value, (part, k)| {
+                        value.add_to_layer(k, part[slot]);
+                        value
+                    })
+                };
+                (0..after).map(value).collect::<Vec<V>>()
+            };
+            sum.add(samples, &mut Estimate { direct: of(0), indirect: of(1) });
+        }
+        let layer = |k: usize| {
+            let variance = light(before).iter().map(|light| light.x + k as f32).collect();
+            Arc::new(Layer { direct: light(before), indirect: light(before), variance, ..Layer::default() })
+        };
+        let old: Vec<Arc<Layer>> = (0..layers).map(layer).collect();
+        let old = Old::of_layers(&old, &old[0].variance, &transition);
+        let validity = &transition.after.validity;
+        let at_once = Apart::of_mean(&sum, Some(&old), validity);
+        let stack = Stack::of_mean(&sum, Some(&old.stack()), validity);
+        let by_way = Apart::of_stack(&stack, layers);
+        assert!(at_once.layers == by_way.layers && at_once.variance == by_way.variance);
+        // What has gone leaves nothing, and new rows have nothing but their own.
+        let (slot, mean) = (transition.new_rows[0] as usize, sum.mean());
+        assert_eq!(at_once.layers[layers - 1].direct[slot], mean.direct[slot].layer(layers - 1));
+        let total: Vec<V> = old.total();
+        assert_eq!(total.len(), before);
+    }
+
+    #[test]
+    fn layers_are_apart_as_they_were_side_by_side() {
+        both_ways_agree::<Vec3>(1, &[Vec3::ONE]);
+        both_ways_agree::<Layered<4>>(3, &[Vec3::ONE, Vec3::splat(0.5), Vec3::X]);
+    }
+}
