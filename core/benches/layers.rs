@@ -35,6 +35,7 @@ const BUDGET: Budget = Budget { samples_per_element: 16, target_rmse: None };
 const SPACINGS: [(&str, f32); 4] = [("room", 0.08), ("cornell-box", 0.04), ("living-room-2", 0.3), ("million", 0.0213)];
 
 fn main() {
+    rebake_core::keep_freed_memory();
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();
     let value = |name: &str| arguments.iter().find_map(|a| a.strip_prefix(name)?.strip_prefix('='));
     let named = |name: &str| arguments.iter().any(|a| a == name) || value(name).is_some();

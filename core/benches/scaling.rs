@@ -40,6 +40,7 @@ struct House {
 }
 
 fn main() {
+    rebake_core::keep_freed_memory();
     let spacing = std::env::args().skip(1).find_map(|a| a.parse().ok()).unwrap_or(0.06);
     let mut houses = ROOMS.map(|rooms| {
         let world = house(rooms, spacing);
