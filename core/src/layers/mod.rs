@@ -20,6 +20,7 @@ use rayon::prelude::*;
 
 use crate::lightmap::LightMap;
 use crate::scene::Scene;
+use crate::transport::black;
 use crate::world::{Emitters, World};
 
 pub(crate) use apart::{Apart, Computed, Old};
@@ -121,7 +122,7 @@ pub(crate) fn whole(layers: Vec<Arc<Layer>>, weights: &[Vec3], correlation: f64)
 pub(crate) fn whole_with(layers: Vec<Arc<Layer>>, weights: &[Vec3], variance: Vec<f32>) -> LightMap {
     let len = layers.first().map_or(0, |layer| layer.direct.len());
     let sum = |part: fn(&Layer) -> &[Vec3]| -> Vec<Vec3> {
-        let mut out = vec![Vec3::ZERO; len];
+        let mut out: Vec<Vec3> = black(len);
         out.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, out)| {
             for (layer, weight) in layers.iter().zip(weights) {
                 let values = &part(layer)[chunk * CHUNK..][..out.len()];
