@@ -16,8 +16,8 @@ use crate::lightmap::LightMap;
 use crate::random::subseed;
 use crate::rounds::{Estimate, First, Goal, Phase, Round, Rounds};
 use crate::solve::{Exchange, Paths, Rows, Subset};
-use crate::transport::direct::add_direct;
-use crate::transport::{Effort, Field, Hint, Value, Work, add_gathered, blacken, for_slots};
+use crate::transport::direct::direct_at;
+use crate::transport::{Effort, Field, Hint, Value, Work, blacken, for_slots, gathered};
 use crate::world::World;
 
 /// Samples per representative and round: at least, at most.
@@ -187,7 +187,7 @@ impl<'a> Baker<'a> {
     }
 
     /// The same, with indirect light gathered in some slots only; elsewhere it is that of the solution on the subset.
-    fn round_at<V: Value>(&self, round: &Round<V>, gathered: &[u32], out: &mut Estimate<V>) -> Result<(), Canceled> {
+    fn round_at<V: Value>(&self, round: &Round<V>, wanted: &[u32], out: &mut Estimate<V>) -> Result<(), Canceled> {
         let (world, work) = (self.world, self.work);
         out.blacken(world.slots());
         let Estimate { direct, indirect } = out;
@@ -197,7 +197,7 @@ impl<'a> Baker<'a> {
             true => Effort::new(world, &round.sum.variance()),
             false => Effort::default(),
         };
-        add_direct(world, &self.slots, (round.samples, &effort), round.seed, work, direct)?;
+        work.add(&self.slots, direct, direct_at(world, round.samples, &effort, round.seed))?;
         world.validity.fill(direct);
         (round.begin)(Pass::Propagation, 0.25);
         // Each round solves anew, from its own direct light: rounds stay independent, so that their scatter is the
@@ -209,13 +209,13 @@ impl<'a> Baker<'a> {
         let field = Field { total: &total, direct, rough: &hint.rough };
         let source = field.source(world, hint.spots.as_ref());
         (round.begin)(Pass::FinalGather, 0.4);
-        add_gathered(world, &source, gathered, round.samples, &effort, round.seed, work, indirect)?;
+        work.add(wanted, indirect, gathered(world, &source, round.samples, &effort, round.seed))?;
         drop(source);
         // The gather is better than the solution that it looked up: at all elements, not on a subset. What it found anew
         // has bounces of its own.
         let mut residual = total;
         blacken(&mut residual, world.slots());
-        for_slots(gathered, &mut residual, |slot, r| *r = indirect[slot as usize] - bounces[slot as usize]);
+        for_slots(wanted, &mut residual, |slot, r| *r = indirect[slot as usize] - bounces[slot as usize]);
         world.validity.fill(&mut residual);
         let missing = exchange.to_representatives(&self.subset, &exchange.settle(&residual));
         for_slots(&self.slots, indirect, |slot, light| *light = bounces[slot as usize] + residual[slot as usize]);

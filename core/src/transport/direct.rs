@@ -113,29 +113,17 @@ pub(crate) fn direct_of<V: Value>(
     seed: u64,
     work: &Work,
 ) -> Result<Vec<V>, Canceled> {
-    let estimate = estimate_of(world, samples, effort, seed);
-    work.map(slots, |_, slot, rays| estimate(slot, rays))
+    let direct = direct_at(world, samples, effort, seed);
+    work.map(slots, |_, slot, rays| direct(slot, rays))
 }
 
-/// The same, added to the light of some slots, ascending, in a map.
-pub(crate) fn add_direct<V: Value>(
-    world: &World,
-    slots: &[u32],
-    (samples, effort): (u32, &Effort),
-    seed: u64,
-    work: &Work,
-    light: &mut [V],
-) -> Result<(), Canceled> {
-    work.add(slots, light, estimate_of(world, samples, effort, seed))
-}
-
-/// Direct light of an element.
-fn estimate_of<V: Value>(
-    world: &World,
+/// Direct light of an element: for [`Work::add`], which writes it into a map.
+pub(crate) fn direct_at<'a, V: Value>(
+    world: &'a World,
     samples: u32,
-    effort: &Effort,
+    effort: &'a Effort,
     seed: u64,
-) -> impl Fn(u32, &mut u64) -> V + Sync {
+) -> impl Fn(u32, &mut u64) -> V + Sync + 'a {
     let direct = DirectLight::new(world, samples);
     let seed = subseed(seed, 0xd1);
     move |slot, rays| {

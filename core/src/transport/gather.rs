@@ -17,27 +17,22 @@ pub(crate) fn gather<V: Value>(
     seed: u64,
     work: &Work,
 ) -> Result<Vec<V>, Canceled> {
-    let seed = subseed(seed, 0x6a);
-    work.map(slots, |_, slot, rays| gather_one(world, source, slot, effort.samples(slot, samples), seed, rays))
+    let gathered = gathered(world, source, samples, effort, seed);
+    work.map(slots, |_, slot, rays| gathered(slot, rays))
 }
 
-/// The same, added to the light of some slots, ascending, in a map.
-#[expect(clippy::too_many_arguments, reason = "those of `gather`, and where to")]
-pub(crate) fn add_gathered<V: Value>(
-    world: &World,
-    source: &Source<impl Radiance<V>, V>,
-    slots: &[u32],
+/// What an element gathers: for [`Work::add`], which writes it into a map.
+pub(crate) fn gathered<'a, V: Value>(
+    world: &'a World,
+    source: &'a Source<impl Radiance<V>, V>,
     samples: u32,
-    effort: &Effort,
+    effort: &'a Effort,
     seed: u64,
-    work: &Work,
-    light: &mut [V],
-) -> Result<(), Canceled> {
+) -> impl Fn(u32, &mut u64) -> V + Sync + 'a {
     let seed = subseed(seed, 0x6a);
-    work.add(slots, light, |slot, rays| gather_one(world, source, slot, effort.samples(slot, samples), seed, rays))
+    move |slot, rays| gather_one(world, source, slot, effort.samples(slot, samples), seed, rays)
 }
 
-/// What one element gathers.
 #[inline]
 fn gather_one<V: Value>(
     world: &World,

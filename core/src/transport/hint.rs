@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::direct::{add_direct, one_light};
+use super::direct::{direct_at, one_light};
 use super::{Effort, Rough, Spots, Target, Value, Work, black};
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
@@ -24,7 +24,7 @@ impl Hint {
     /// Direct light that hints are made from, per slot.
     pub(crate) fn direct<V: Value>(world: &World, slots: &[u32], seed: u64, work: &Work) -> Result<Vec<V>, Canceled> {
         let mut direct = black(world.slots());
-        add_direct(world, slots, (SAMPLES, &Effort::default()), seed, work, &mut direct)?;
+        work.add(slots, &mut direct, direct_at(world, SAMPLES, &Effort::default(), seed))?;
         world.validity.fill(&mut direct);
         Ok(direct)
     }

@@ -188,7 +188,7 @@ impl<V: Value> Updater<'_, V> {
         }
         self.world.validity.fill(&mut seen_by_old);
         self.world.validity.fill(&mut seen_by_new);
-        let repainted = self.repaint.iter().any(|r| *r != Vec3::ZERO).then_some((&*self.repaint, &*self.old_total));
+        let repainted = (!self.old_total.is_empty()).then_some((&*self.repaint, &*self.old_total));
         Change { seen_by_old, seen_by_new, is_new: self.new_flags(), repainted }
     }
 

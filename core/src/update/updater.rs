@@ -75,14 +75,12 @@ impl<'a, V: Value> Updater<'a, V> {
         let before_total = stage.old.total();
         let mut light: Vec<V> = transition.carry(&before_total);
         transition.new_rows.iter().for_each(|&slot| light[slot as usize] = V::default());
-        let repaint = transition.repaint();
-        let is_repainted = repaint.iter().any(|change| *change != Vec3::ZERO);
         Updater {
             transition,
             world,
             work,
             stage,
-            old_total: if is_repainted { light.clone() } else { Vec::new() },
+            old_total: if transition.repaints_anything() { light.clone() } else { Vec::new() },
             light: RefCell::new(light),
             before_total,
             old: OnceCell::new(),
@@ -94,7 +92,7 @@ impl<'a, V: Value> Updater<'a, V> {
             direct: direct::DirectChange::new(transition),
             spots: OnceCell::new(),
             aims: OnceCell::new(),
-            repaint,
+            repaint: transition.repaint(),
             buffers: Buffers::new(),
         }
     }
