@@ -62,8 +62,8 @@ fn ambient<V: Value>(world: &World, direct: &[V], seed: u64, work: &Work) -> Res
                 continue;
             };
             albedo += surfel.albedo;
-            if let Some(elements) = surfel.elements {
-                sent += surfel.interpolate(elements, direct) * surfel.albedo;
+            if let Some(footprint) = surfel.footprint {
+                sent += footprint.interpolate(direct) * surfel.albedo;
             }
         }
         (sent / RAYS as f32, albedo / RAYS as f32)

@@ -16,9 +16,10 @@ use crate::layers::{Header, Layer, moved_layers, whole_of};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
 use crate::solve::{Exchange, Paths, Rows, Subset};
+use crate::space::Space;
 use crate::transport::direct::direct_of;
 use crate::transport::{Effort, Source, Surfel, Work};
-use crate::world::{Geometry, Part, Transition, World};
+use crate::world::{Transition, World};
 
 /// Paths per representative.
 const PATHS: u32 = 48;
@@ -28,8 +29,7 @@ const LIGHT_SAMPLES: u32 = 4;
 
 /// Transport of a scene whose surfaces stay, ready for lights that move.
 pub struct DragBasis {
-    geometry: Arc<Geometry>,
-    parts: Arc<Vec<Part>>,
+    space: Space,
     slots: Vec<u32>,
     subset: Subset,
     exchange: Exchange<Vec3>,
@@ -52,13 +52,12 @@ impl DragBasis {
         let work = Work::new(observer);
         let exchange =
             Exchange::trace(world, &subset, &rows, &source, Paths::Each(PATHS), subseed(seed, 0xd4a6), &work)?;
-        let (geometry, parts) = (Arc::clone(&world.geometry), Arc::clone(&world.parts));
-        Ok(DragBasis { geometry, parts, slots: world.computed_slots(), subset, exchange })
+        Ok(DragBasis { space: world.space.clone(), slots: world.computed_slots(), subset, exchange })
     }
 
     /// Whether a world's surfaces are those that this is of.
     pub fn fits(&self, world: &World) -> bool {
-        Arc::ptr_eq(&self.geometry, &world.geometry) && self.parts == world.parts
+        self.space.has_slots_of(&world.space) && self.space.parts() == world.space.parts()
     }
 
     /// Bytes that it holds.

@@ -52,7 +52,7 @@ pub(crate) fn refine_with(
 fn blend(world: &World, old: &LightMap, mut new: LightMap) -> LightMap {
     let (a, b) = (variances(world, old), variances(world, &new));
     let mut weights = vec![1.0; new.len()];
-    for (slot, key) in world.geometry.owners.iter().enumerate() {
+    for (slot, key) in world.space.slots().owners.iter().enumerate() {
         let (Some(&a), Some(&b)) = (a.get(key), b.get(key)) else { continue };
         let weight = if a > 0.0 { (a / (a + b)) as f32 } else { 0.0 };
         weights[slot] = weight;
@@ -79,7 +79,7 @@ fn blend(world: &World, old: &LightMap, mut new: LightMap) -> LightMap {
 /// Area-weighted mean variance per object.
 fn variances(world: &World, map: &LightMap) -> BTreeMap<u32, f64> {
     let mut sums: BTreeMap<u32, (f64, f64)> = BTreeMap::new();
-    for ((key, area), variance) in world.geometry.owners.iter().zip(world.areas()).zip(&map.variance) {
+    for ((key, area), variance) in world.space.slots().owners.iter().zip(world.areas()).zip(&map.variance) {
         let sum = sums.entry(*key).or_default();
         sum.0 += f64::from(*area) * f64::from(*variance);
         sum.1 += f64::from(*area);

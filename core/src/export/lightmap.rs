@@ -4,6 +4,7 @@ use glam::Vec3;
 
 use super::{EXR_WIDTH, ExportError, MeshExport, write_exr, write_glb};
 use crate::scene::{LightKind, Material};
+use crate::space::Patch;
 use crate::world::World;
 
 /// The subdivided mesh with `values` (per slot) as float `COLOR_0`. Backs that have elements are triangles of their
@@ -40,19 +41,21 @@ struct Piece {
 impl Piece {
     fn new(world: &World, index: usize) -> Piece {
         let (placed, object) = (&world.placed[index], &world.scene.objects[index]);
-        let surface = &placed.surface;
+        let n = placed.layout.len();
+        let cells = placed.layout.of_cells(&placed.surface, |patch| Some(*patch));
+        let material = |patch: &Patch| placed.surface.triangle_materials[patch.face as usize];
         let mut piece = Piece {
             index,
-            positions: surface.vertices.clone(),
-            triangles: surface.triangles.clone(),
-            triangle_materials: surface.triangle_materials.clone(),
+            positions: placed.layout.corners(&placed.surface),
+            triangles: cells.iter().map(|patch| patch.elements).collect(),
+            triangle_materials: cells.iter().map(material).collect(),
             materials: object.materials.clone(),
         };
         if placed.with_back {
-            let n = surface.vertices.len() as u32;
-            piece.positions.extend(&surface.vertices);
-            piece.triangles.extend(surface.triangles.iter().map(|&[a, b, c]| [a + n, c + n, b + n]));
-            piece.triangle_materials.extend(&surface.triangle_materials);
+            piece.positions.extend_from_within(..);
+            let back = |[a, b, c]: [u32; 3]| [a, c, b].map(|element| element + n as u32);
+            piece.triangles.extend(cells.iter().map(|patch| back(patch.elements)));
+            piece.triangle_materials.extend_from_within(..);
         }
         // The radiance in force is that of the light, not of the upload.
         for (number, material) in piece.materials.iter_mut().enumerate() {
@@ -72,7 +75,7 @@ impl Piece {
         MeshExport {
             name: &world.scene.objects[self.index].name,
             positions: &self.positions,
-            normals: &world.geometry.normals[range.clone()],
+            normals: &world.normals()[range.clone()],
             colors: &values[range],
             triangles: &self.triangles,
             triangle_materials: &self.triangle_materials,

@@ -57,7 +57,12 @@ impl ObjectScene<'_> {
 
     fn is_of_object(&self, emitter: &Emitter) -> bool {
         emitter.object.is_some_and(|key| {
-            self.with.parts.iter().zip(&self.is_object).any(|(part, is_object)| *is_object && part.object == key)
+            self.with
+                .space
+                .parts()
+                .iter()
+                .zip(&self.is_object)
+                .any(|(part, is_object)| *is_object && part.object == key)
         })
     }
 }

@@ -118,8 +118,8 @@ impl ObjectScene<'_> {
     /// Radiance that a surface reflects against a ray: the map, and direct light where `sampled`.
     fn reflected(&self, vertex: &Vertex, field: &Field, sampled: bool, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
         let surfel = &vertex.surfel;
-        let known = match (field.map, surfel.elements) {
-            (Some(map), Some(elements)) => surfel.interpolate(elements, map),
+        let known = match (field.map, surfel.footprint) {
+            (Some(map), Some(footprint)) => footprint.interpolate(map),
             _ => Vec3::ZERO,
         };
         let direct = if sampled { one_light(self.with, vertex.point, surfel.normal, rng, rays) } else { Vec3::ZERO };
@@ -156,7 +156,7 @@ impl ObjectScene<'_> {
                 }
                 break;
             };
-            if !self.is_object[self.with.geometry.triangles[hit.triangle as usize].part() as usize] {
+            if !self.is_object[self.with.space.part_index(hit.triangle) as usize] {
                 radiance += beta * self.radiance(&ray, &hit, field, rng, rays);
                 break;
             }
@@ -213,8 +213,8 @@ impl ObjectScene<'_> {
                     let Some(hit) = self.without.closest_hit(&ray) else { break };
                     let Some(vertex) = Vertex::new(self.with, &ray, &hit) else { break };
                     beta *= vertex.surfel.albedo;
-                    if let Some(elements) = vertex.surfel.elements {
-                        sum += beta * vertex.surfel.interpolate(elements, map);
+                    if let Some(footprint) = vertex.surfel.footprint {
+                        sum += beta * footprint.interpolate(map);
                     }
                     ray = self::ray(vertex.point, cosine_hemisphere(vertex.surfel.normal, rng.next_2d()));
                 }

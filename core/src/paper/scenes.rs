@@ -37,11 +37,10 @@ impl<'a> ObjectScene<'a> {
         let (mut corners, mut ids) = (Vec::new(), Vec::new());
         let mut mask = with.trees.gone.as_deref().cloned().unwrap_or_else(|| TriangleMask::new(0));
         for placed in with.placed.iter().filter(|p| keys.contains(&p.key)) {
-            let vertices = &placed.surface.vertices;
-            corners.extend(placed.surface.triangles.iter().map(|t| t.map(|i| vertices[i as usize])));
-            ids.extend(placed.placement.triangles.clone());
+            corners.extend(placed.surface.all_corners());
+            ids.extend(placed.placement.faces.clone());
             if !with.trees.small.iter().any(|(key, _)| *key == placed.key) {
-                placed.placement.triangles.clone().for_each(|id| mask.set(id, true));
+                placed.placement.faces.clone().for_each(|id| mask.set(id, true));
             }
         }
         let mut without = with.trees.clone();
@@ -59,7 +58,7 @@ impl<'a> ObjectScene<'a> {
             without,
             object: Bvh::build(&corners, &ids, BuildQuality::Good),
             sphere: bounding_sphere(&corners),
-            is_object: with.parts.iter().map(|part| keys.contains(&part.object)).collect(),
+            is_object: with.space.parts().iter().map(|part| keys.contains(&part.object)).collect(),
             rows: of(false).collect(),
             object_rows: of(true).filter(|&i| with.is_valid(i as usize)).collect(),
         }
@@ -78,8 +77,7 @@ fn bounding_sphere(corners: &[[Vec3; 3]]) -> (Vec3, f32) {
 pub(super) fn edited(transition: &Transition) -> (Keys, Keys) {
     let (before, after) = (&transition.before, &transition.after);
     let albedos = |world: &World, p: &Placed| -> Vec<Vec3> {
-        let materials = p.surface.triangle_materials.iter().max().map_or(0, |m| m + 1);
-        (0..materials).map(|m| world.parts[(p.parts_first + m) as usize].albedo).collect()
+        world.space.parts_of(&p.placement).iter().map(|part| part.albedo).collect()
     };
     let changed = |one: &World, other: &World| -> Keys {
         let stays = |p: &Placed| {

@@ -9,7 +9,7 @@ use std::f32::consts::FRAC_1_PI;
 
 use glam::Vec3;
 
-use crate::bvh::{BuildQuality, Bvh, Hit, Ray};
+use crate::bvh::{Hit, Ray};
 use crate::random::{Pcg32, R2};
 use crate::scene::LightKind;
 use crate::transport::DirectLight;
@@ -18,9 +18,6 @@ use crate::world::{Emitter, Placed, Shape, World};
 
 const NONE: u32 = u32::MAX;
 
-/// Relative difference in distance up to which a light's triangle is the one that a ray met.
-const SAME: f32 = 1e-3;
-
 /// A world's lights with the way back from triangles to them.
 pub(super) struct Lights<'a> {
     pub(super) world: &'a World,
@@ -28,10 +25,10 @@ pub(super) struct Lights<'a> {
     counts: DirectLight,
     /// Cosine samples of an element per batch.
     cosine_samples: f32,
-    /// Per triangle slot: the emitter.
-    of_triangle: Vec<u32>,
-    /// Over each emissive surface's own triangles, of which the scene's are subdivisions.
-    trees: Vec<Option<Bvh>>,
+    /// Per part: the emitter.
+    of_part: Vec<u32>,
+    /// Per emitter with triangles: the slot of its object's first.
+    first_faces: Vec<u32>,
 }
 
 impl<'a> Lights<'a> {
@@ -42,22 +39,15 @@ impl<'a> Lights<'a> {
             world,
             counts,
             cosine_samples: samples as f32,
-            of_triangle: vec![NONE; world.geometry.triangles.len()],
-            trees: world.emitters.list.iter().map(tree_of).collect(),
+            of_part: vec![NONE; world.space.parts().len()],
+            first_faces: vec![NONE; world.emitters.list.len()],
         };
         for (index, emitter) in world.emitters.list.iter().enumerate() {
-            lights.add_triangles(index as u32, emitter);
+            let Some((placed, material)) = emissive_part(world, emitter) else { continue };
+            lights.of_part[(placed.placement.parts.start + material) as usize] = index as u32;
+            lights.first_faces[index] = placed.placement.faces.start;
         }
         lights
-    }
-
-    fn add_triangles(&mut self, index: u32, emitter: &Emitter) {
-        let Some((placed, material)) = emissive_part(self.world, emitter) else { return };
-        for (slot, m) in placed.placement.triangles.clone().zip(&placed.surface.triangle_materials) {
-            if *m == material {
-                self.of_triangle[slot as usize] = index;
-            }
-        }
     }
 
     /// Direct light of an element from a batch of light samples, the share of the balance heuristic.
@@ -106,33 +96,24 @@ impl<'a> Lights<'a> {
 
     #[inline]
     fn met_with(&self, n: Vec3, ray: &Ray, hit: &Hit, share: impl Fn(u32, f32) -> f32) -> Vec3 {
-        let entry = self.of_triangle[hit.triangle as usize];
-        if entry == NONE {
+        let index = self.of_part[self.world.space.part_index(hit.triangle) as usize];
+        if index == NONE {
             return Vec3::ZERO;
         }
-        let index = entry;
         let emitter = &self.world.emitters.list[index as usize];
-        let Shape::Surface { double_sided, .. } = &emitter.shape else { return Vec3::ZERO };
+        let Shape::Surface { triangles, double_sided, .. } = &emitter.shape else { return Vec3::ZERO };
         if hit.normal.dot(ray.direction) >= 0.0 && !double_sided {
             return Vec3::ZERO;
         }
         let which = || {
-            let tree = self.trees[index as usize].as_ref()?;
-            let around = Ray { t_min: hit.t * (1.0 - SAME), t_max: hit.t * (1.0 + SAME), ..*ray };
-            tree.closest_hit(&around, None).map(|h| h.triangle as usize)
+            let face = hit.triangle - self.first_faces[index as usize];
+            triangles.binary_search_by_key(&face, |triangle| triangle.face).ok()
         };
         let pdf = emitter.pdf(ray, hit, which);
         // No light sample can come from where the density is zero: the hit counts in full.
         let part = if pdf > 0.0 { share(index, n.dot(ray.direction) * FRAC_1_PI / pdf) } else { 1.0 };
         emitter.strength * part
     }
-}
-
-fn tree_of(emitter: &Emitter) -> Option<Bvh> {
-    let Shape::Surface { triangles, .. } = &emitter.shape else { return None };
-    let corners: Vec<[Vec3; 3]> = triangles.iter().map(|t| t.corners).collect();
-    let ids: Vec<u32> = (0..corners.len() as u32).collect();
-    Some(Bvh::build(&corners, &ids, BuildQuality::Fast))
 }
 
 /// The object of an emissive surface and the index of its material.

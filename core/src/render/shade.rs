@@ -66,7 +66,7 @@ impl<'a> Shading<'a> {
             }
             View::Direct => emission + surfel.albedo * self.direct(&surfel, k, sequences, rng),
             View::Indirect => surfel.albedo * self.indirect(&surfel, rng),
-            View::LightMap => surfel.elements.map_or(Vec3::ZERO, |e| surfel.interpolate(e, &self.totals)),
+            View::LightMap => surfel.footprint.map_or(Vec3::ZERO, |footprint| footprint.interpolate(&self.totals)),
         }
     }
 
@@ -99,8 +99,8 @@ impl<'a> Shading<'a> {
 
     /// irradiance / π after at least one bounce: from the map, or by one gather where a back has no elements.
     fn indirect(&self, surfel: &Surfel, rng: &mut Pcg32) -> Vec3 {
-        if let Some(elements) = surfel.elements {
-            return surfel.interpolate(elements, &self.map.indirect);
+        if let Some(footprint) = surfel.footprint {
+            return footprint.interpolate(&self.map.indirect);
         }
         let rough = Rough::default();
         let field = Field { total: &self.totals, direct: &self.totals, rough: &rough };
@@ -128,7 +128,7 @@ pub(super) fn place(options: &RenderOptions, within: &R2, k: u32) -> [f32; 2] {
 pub(super) fn first_front(world: &World, mut ray: Ray) -> Option<(Ray, Hit)> {
     for _ in 0..MAX_BACKS {
         let hit = world.trees.closest_hit(&ray)?;
-        let part = &world.parts[world.geometry.triangles[hit.triangle as usize].part() as usize];
+        let part = world.space.part(hit.triangle);
         if part.double_sided || hit.normal.dot(ray.direction) <= 0.0 {
             return Some((ray, hit));
         }
@@ -140,18 +140,18 @@ pub(super) fn first_front(world: &World, mut ray: Ray) -> Option<(Ray, Hit)> {
 /// The elements' normals, interpolated: the light map is baked with them, so a sphere looks like one. The geometric
 /// normal where there are none, or where they turn away.
 pub(super) fn smooth_normal(world: &World, surfel: &Surfel) -> Vec3 {
-    let Some(elements) = surfel.elements else { return surfel.normal };
-    let n = surfel.interpolate(elements, &world.geometry.normals).normalize_or(surfel.normal);
+    let Some(footprint) = surfel.footprint else { return surfel.normal };
+    let n = footprint.interpolate(world.normals()).normalize_or(surfel.normal);
     if n.dot(surfel.normal) > 0.1 { n } else { surfel.normal }
 }
 
 /// Per part: the radiance of its light.
 fn emission_of_parts(world: &World) -> Vec<Vec3> {
-    let mut emission = vec![Vec3::ZERO; world.parts.len()];
+    let mut emission = vec![Vec3::ZERO; world.space.parts().len()];
     for light in &world.scene.lights {
         let LightKind::Emissive { object, material } = &light.kind else { continue };
         let Some(index) = world.scene.objects.iter().position(|o| o.name == *object) else { continue };
-        if let Some(slot) = emission.get_mut((world.placed[index].parts_first + material) as usize) {
+        if let Some(slot) = emission.get_mut((world.placed[index].placement.parts.start + material) as usize) {
             *slot = light.strength();
         }
     }

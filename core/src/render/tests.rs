@@ -102,7 +102,8 @@ fn indirect_light_is_what_the_map_says() {
     // looks values up, not at the sample points, which lie a little inside of borders.
     let value = |p: Vec3| Vec3::new(3.0 + p.x, 2.0 + 0.5 * p.z, 1.0);
     let mut map = LightMap::black(world.slots());
-    map.indirect = world.placed[0].surface.vertices.iter().map(|p| value(*p)).collect();
+    let placed = &world.placed[0];
+    map.indirect = placed.layout.corners(&placed.surface).into_iter().map(value).collect();
     map.direct = vec![Vec3::splat(10.0); map.len()];
     let options = options(24, 16, 1);
     for (view, expected) in [

@@ -49,7 +49,7 @@ pub fn change_of(
 ) -> Vec<f32> {
     let ((old_world, old), (world, new)) = (before, after);
     assert!(old.len() == old_world.slots() && new.len() == world.slots(), "a light map has one value per slot");
-    let (old_owners, owners) = (&old_world.geometry.owners, &world.geometry.owners);
+    let (old_owners, owners) = (&old_world.space.slots().owners, &world.space.slots().owners);
     let change = |slot: usize| match old_owners.get(slot) {
         // Keys are never used again: the same key is the same object.
         Some(owner) if *owner == owners[slot] => (value(new, slot) - value(old, slot)).element_sum() / 3.0,
@@ -83,11 +83,7 @@ pub fn render_values(
         let (ray, hit) = first_front(world, rays.through(x, y, u))?;
         let surfel = Surfel::new(world, &ray, &hit)?;
         let facing = smooth_normal(world, &surfel).dot(ray.direction).abs();
-        let [a, b, c] = surfel.weights;
-        let value = surfel
-            .elements
-            .map_or(0.0, |[i, j, k]| values[i as usize] * a + values[j as usize] * b + values[k as usize] * c);
-        Some((value, facing))
+        Some((surfel.footprint.map_or(0.0, |footprint| footprint.interpolate(values)), facing))
     };
     let pixel = |x: usize, y: usize| {
         let within = R2::new(&mut pixel_random(options, x, y));
@@ -120,7 +116,7 @@ pub fn visible_slots(
         for k in 0..options.samples {
             let met = first_front(world, rays.through(x, y, place(options, &within, k)));
             let surfel = met.and_then(|(ray, hit)| Surfel::new(world, &ray, &hit));
-            for slot in surfel.and_then(|surfel| surfel.elements).into_iter().flatten() {
+            for &slot in surfel.and_then(|surfel| surfel.footprint).iter().flat_map(|footprint| footprint.slots()) {
                 seen[slot as usize].store(true, Ordering::Relaxed);
             }
         }

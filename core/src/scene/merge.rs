@@ -98,10 +98,9 @@ mod tests {
             assert_eq!(light.strength(), object.materials[index as usize].emission);
         }
         assert_eq!(lights[2].kind, spot.kind);
-        let apart =
-            asset.objects.iter().map(|part| Surface::build(part, part.world_from_object, 0.3, 100_000).unwrap());
+        let apart = asset.objects.iter().map(|part| Surface::build(part, part.world_from_object).unwrap());
         let (area, volume) = apart.fold((0.0, 0.0), |(a, v), part| (a + part.area(), v + part.volume));
-        let merged = Surface::build(&object, DMat4::IDENTITY, 0.3, 100_000).unwrap();
+        let merged = Surface::build(&object, DMat4::IDENTITY).unwrap();
         merged.validate().unwrap();
         assert!(merged.closed && (merged.volume / volume - 1.0).abs() < 1e-5, "{} {volume}", merged.volume);
         assert!((merged.area() / area - 1.0).abs() < 1e-5);

@@ -189,7 +189,7 @@ mod tests {
         ];
         for (mesh, area, volume, tolerance) in cases {
             let object = Object::new("mesh", mesh, Material::diffuse(Vec3::ONE));
-            let surface = Surface::build(&object, DMat4::IDENTITY, 10.0, 100_000).unwrap();
+            let surface = Surface::build(&object, DMat4::IDENTITY).unwrap();
             surface.validate().unwrap();
             assert!((surface.area() / area - 1.0).abs() < tolerance, "{} {area}", surface.area());
             assert_eq!(surface.closed, volume.is_some());

@@ -41,10 +41,10 @@ struct Side {
 impl Subset {
     /// Collects the representatives of a world.
     pub(crate) fn new(world: &World) -> Subset {
-        let mut side_of_part = vec![0; world.parts.len()];
+        let mut side_of_part = vec![0; world.space.parts().len()];
         let mut ends = Vec::new();
-        for (placed, object) in world.placed.iter().zip(&world.scene.objects) {
-            let parts = placed.parts_first as usize..placed.parts_first as usize + object.materials.len();
+        for placed in &world.placed {
+            let parts = placed.placement.parts.start as usize..placed.placement.parts.end as usize;
             side_of_part[parts].fill(ends.len() as u32);
             ends.push((placed, false));
             if placed.with_back {
@@ -69,7 +69,7 @@ impl Subset {
         wanted.iter().for_each(|&slot| is_wanted[slot as usize] = true);
         let mut needed = vec![false; slots];
         for side in &self.sides {
-            for element in 0..side.placed.surface.positions.len() as u32 {
+            for element in 0..side.placed.layout.len() as u32 {
                 if is_wanted[(side.first_slot + element) as usize] {
                     side.entries_of(element).for_each(|(i, _)| needed[self.slots[i] as usize] = true);
                 }
@@ -84,7 +84,7 @@ impl Subset {
     pub(crate) fn cells(&self) -> Vec<u32> {
         let mut cells = vec![NONE; self.len];
         for side in &self.sides {
-            for element in 0..side.placed.surface.positions.len() as u32 {
+            for element in 0..side.placed.layout.len() as u32 {
                 if let Some((i, _)) = side.entries_of(element).next() {
                     cells[(side.first_slot + element) as usize] = i as u32;
                 }
@@ -99,7 +99,7 @@ impl Subset {
         let of_side = |side: &Side| {
             let first = side.members.start;
             let mut areas = vec![0.0; side.members.len()];
-            let elements = &world.areas()[side.first_slot as usize..][..side.placed.surface.positions.len()];
+            let elements = &world.areas()[side.first_slot as usize..][..side.placed.layout.len()];
             for (area, element) in elements.iter().zip(0..) {
                 side.entries_of(element).for_each(|(i, weight)| areas[i - first] += area * weight);
             }
@@ -129,15 +129,14 @@ impl Subset {
     }
 
     /// One of the representatives that a look-up is interpolated from, with its weight as probability; none where no
-    /// corner of the triangle has any.
+    /// slot of it has any.
     #[inline]
     pub(crate) fn sample(&self, world: &World, surfel: &Surfel, u: [f32; 3]) -> Option<u32> {
-        let elements = surfel.elements?;
-        let [a, b, _] = surfel.weights;
-        let k = usize::from(u[0] >= a) + usize::from(u[0] >= a + b);
+        let footprint = surfel.footprint?;
+        let (slots, k) = (footprint.slots(), footprint.drawn(u[0]));
         let front = self.side_of_part[surfel.part as usize] as usize;
-        (0..3).find_map(|i| {
-            let slot = elements[(k + i) % 3];
+        (0..slots.len()).find_map(|i| {
+            let slot = slots[(k + i) % slots.len()];
             let slot = if world.is_valid(slot as usize) { slot } else { world.validity.stand_in(slot, u[2]) };
             self.sides[front].sample(slot, u[1]).or_else(|| self.sides.get(front + 1)?.sample(slot, u[1]))
         })
@@ -148,12 +147,12 @@ impl Side {
     /// One side of an object and the slots of its representatives, whose indices begin at 0.
     fn new(world: &World, placed: &Arc<Placed>, back: bool) -> (Side, Vec<u32>) {
         let coarse = &placed.coarse;
-        let elements = placed.surface.positions.len() as u32;
+        let elements = placed.layout.len() as u32;
         let first_slot = placed.placement.elements.start + if back { elements } else { 0 };
         let hidden = world.sight.get(&placed.key).cloned().unwrap_or_default();
         let computed = |element: u32| {
             let slot = (first_slot + element) as usize;
-            world.geometry.areas[slot] > 0.0 && world.validity.is_valid(slot)
+            world.areas()[slot] > 0.0 && world.validity.is_valid(slot)
         };
         let mut slots = Vec::with_capacity(coarse.representatives.len());
         let mut index = Vec::with_capacity(coarse.representatives.len());
@@ -205,7 +204,7 @@ impl Side {
     #[inline]
     fn sample(&self, slot: u32, u: f32) -> Option<u32> {
         let element = slot.wrapping_sub(self.first_slot);
-        if element as usize >= self.placed.surface.positions.len() {
+        if element as usize >= self.placed.layout.len() {
             return None;
         }
         let total: f32 = self.entries_of(element).map(|e| e.1).sum();
@@ -222,7 +221,7 @@ impl Side {
 
     /// Adds the values of its elements to the beginning of `out`.
     fn add_where<V: Value>(&self, is_wanted: &(impl Fn(u32) -> bool + Sync), values: &[V], out: &mut [V]) {
-        let out = &mut out[..self.placed.surface.positions.len()];
+        let out = &mut out[..self.placed.layout.len()];
         let is_wanted = |element: u32| is_wanted(self.first_slot + element);
         out.par_iter_mut().enumerate().with_min_len(CHUNK).for_each(|(element, out)| {
             if !is_wanted(element as u32) {

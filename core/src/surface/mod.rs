@@ -1,44 +1,66 @@
-//! The surface of one object, subdivided until neighbouring vertices are at most `spacing` apart. Its vertices are
-//! the elements of the light map.
+//! The surface of one object in scene space: the triangles of its file that have an area, welded. Rays meet these; light
+//! has a resolution of its own ([`crate::space`]).
 
 mod build;
-mod elements;
-mod hash;
-mod order;
 mod place;
-mod subdivide;
 #[cfg(test)]
 mod tests;
 mod topology;
 mod weld;
 
-pub use self::build::{DEFAULT_ELEMENTS, build_all, default_spacing, object_area};
+pub use self::build::{DEFAULT_ELEMENTS, default_spacing, object_area};
+
+pub(crate) use self::build::triangle_area;
+pub(crate) use self::place::{moved_normals, moved_points};
+pub(crate) use self::weld::{MIN_COSINE, geometric_normal};
 
 use glam::Vec3;
 
-/// A subdivided object in scene space. Element `i` of the object is vertex `i`.
+/// An object's triangles in scene space, welded: vertices differ in position or normal.
 #[derive(Clone, Debug, Default)]
 pub struct Surface {
-    /// Vertex positions: corners of `triangles`.
-    pub vertices: Vec<Vec3>,
-    /// Sample points: where an element's value is evaluated. Equal to the vertex inside a surface, moved by a small
-    /// part of the spacing into the surface at its borders and hard edges.
+    /// Vertex positions, metres; never −0, so that equal means bitwise equal.
     pub positions: Vec<Vec3>,
-    /// Unit normals at the sample points.
+    /// Unit shading normals per vertex, on the front's side of all triangles there.
     pub normals: Vec<Vec3>,
-    /// A third of the area of the adjacent triangles, m². Sums to the area of the surface.
-    pub areas: Vec<f32>,
-    /// Element indices per triangle, counter-clockwise seen from the front (the side the normals point to).
+    /// Vertex indices, counter-clockwise seen from the front (the side the normals point to).
     pub triangles: Vec<[u32; 3]>,
     /// Per triangle: index into the object's materials.
     pub triangle_materials: Vec<u32>,
+    /// Per triangle: where it comes from.
+    pub sources: Vec<Source>,
+    /// Triangles of the mesh that have no area in scene space and were dropped.
+    pub dropped: u32,
     /// Every edge is shared by exactly two triangles of opposite direction: the surface bounds a volume.
     pub closed: bool,
     /// Signed volume, m³ (positive: normals point outward). Meaningful where `closed`.
     pub volume: f64,
 }
 
-/// Why an object has no surface.
+/// A triangle of the mesh: texture coordinates and vertex colours are read there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Source(u32);
+
+impl Source {
+    const TURNED: u32 = 1 << 31;
+
+    pub(crate) fn new(triangle: u32, turned: bool) -> Source {
+        Source(triangle | if turned { Source::TURNED } else { 0 })
+    }
+
+    /// Index of the triangle in the mesh.
+    pub fn triangle(self) -> usize {
+        (self.0 & !Source::TURNED) as usize
+    }
+
+    /// Whether the second and third corner have changed places, since the object is mirrored or its winding opposes its
+    /// normals.
+    pub fn turned(self) -> bool {
+        self.0 & Source::TURNED != 0
+    }
+}
+
+/// Why an object has no surface, or no elements.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum SurfaceError {
     /// The spacing (metres) is not a positive number.

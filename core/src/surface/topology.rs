@@ -1,15 +1,15 @@
 //! Whether a surface bounds a volume, and which.
 
-use super::hash::FastMap;
-use super::weld::Welded;
+use super::Surface;
+use crate::hash::FastMap;
 
 /// Whether every directed edge has exactly one opposite (vertices are the same where their positions are), and the
 /// signed volume in m³.
-pub(super) fn closed_volume(mesh: &Welded) -> (bool, f64) {
+pub(super) fn closed_volume(mesh: &Surface) -> (bool, f64) {
     (is_closed(mesh), volume(mesh))
 }
 
-fn is_closed(mesh: &Welded) -> bool {
+fn is_closed(mesh: &Surface) -> bool {
     let mut ids: FastMap<[u32; 3], u32> = FastMap::default();
     let mut id_of_vertex = Vec::with_capacity(mesh.positions.len());
     for position in &mesh.positions {
@@ -35,7 +35,7 @@ fn is_closed(mesh: &Welded) -> bool {
 }
 
 /// Sum of the signed tetrahedra between the triangles and a point near them.
-fn volume(mesh: &Welded) -> f64 {
+fn volume(mesh: &Surface) -> f64 {
     let Some(base) = mesh.positions.first().map(|position| position.as_dvec3()) else { return 0.0 };
     let corner = |vertex: u32| mesh.positions[vertex as usize].as_dvec3() - base;
     let six_times = |&[a, b, c]: &[u32; 3]| corner(a).dot(corner(b).cross(corner(c)));

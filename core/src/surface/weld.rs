@@ -2,28 +2,17 @@
 
 use glam::{DMat3, DMat4, DVec3, Vec3};
 
-use super::SurfaceError;
-use super::hash::FastMap;
+use super::{Source, Surface, SurfaceError};
+use crate::hash::FastMap;
 use crate::scene::{Mesh, Object};
 
 /// Least cosine between a shading normal and the geometric normal of a triangle. Below it a cosine-distributed
 /// direction about the one would often lie beneath the other.
-pub(super) const MIN_COSINE: f32 = 0.05;
+pub(crate) const MIN_COSINE: f32 = 0.05;
 
-/// A mesh whose vertices differ in position or normal. Shared ones are smooth, duplicated positions are hard edges.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Welded {
-    /// Scene space; never −0, so that equal means bitwise equal.
-    pub(super) positions: Vec<Vec3>,
-    /// Unit; at least [`MIN_COSINE`] from all triangles at the vertex.
-    pub(super) normals: Vec<Vec3>,
-    /// Counter-clockwise about their front; all with an area.
-    pub(super) triangles: Vec<[u32; 3]>,
-    pub(super) materials: Vec<u32>,
-}
-
-/// Transforms and welds. Triangles without an area in scene space are dropped.
-pub(super) fn weld(object: &Object, scene_from_object: DMat4) -> Result<Welded, SurfaceError> {
+/// Transforms and welds: shared vertices are smooth, duplicated positions are hard edges. Triangles without an area in
+/// scene space are dropped and counted.
+pub(super) fn weld(object: &Object, scene_from_object: DMat4) -> Result<Surface, SurfaceError> {
     let linear = DMat3::from_mat4(scene_from_object);
     let determinant = linear.determinant();
     if !scene_from_object.is_finite() || !determinant.is_finite() || determinant == 0.0 {
@@ -36,12 +25,14 @@ pub(super) fn weld(object: &Object, scene_from_object: DMat4) -> Result<Welded, 
         normals: transform_normals(mesh, linear.inverse().transpose()),
         ids: FastMap::default(),
         id_of_vertex: vec![u32::MAX; mesh.positions.len()],
-        welded: Welded::default(),
+        welded: Surface::default(),
     };
-    for (triangle, &material) in mesh.triangles.iter().zip(&mesh.triangle_materials) {
+    for (index, (triangle, &material)) in mesh.triangles.iter().zip(&mesh.triangle_materials).enumerate() {
         let [a, b, c] = *triangle;
-        let corners = if determinant < 0.0 { [a, c, b] } else { [a, b, c] };
-        welder.add(corners, material, object.materials[material as usize].double_sided);
+        let mirrored = determinant < 0.0;
+        let corners = if mirrored { [a, c, b] } else { [a, b, c] };
+        let source = Source::new(index as u32, mirrored);
+        welder.add(corners, source, material, object.materials[material as usize].double_sided);
     }
     Ok(welder.welded)
 }
@@ -53,19 +44,23 @@ struct Welder {
     ids: FastMap<[u32; 6], u32>,
     /// Of a vertex with its own normal, once known: most corners need no hashing.
     id_of_vertex: Vec<u32>,
-    welded: Welded,
+    welded: Surface,
 }
 
 impl Welder {
-    fn add(&mut self, mut corners: [u32; 3], material: u32, double_sided: bool) {
+    fn add(&mut self, mut corners: [u32; 3], mut source: Source, material: u32, double_sided: bool) {
         let [a, b, c] = corners.map(|corner| self.positions[corner as usize]);
-        let Some(mut front) = geometric_normal(a, b, c) else { return };
+        let Some(mut front) = geometric_normal(a, b, c) else {
+            self.welded.dropped += 1;
+            return;
+        };
         let mut normals = corners.map(|corner| self.normals[corner as usize]);
         let opposes = normals.iter().sum::<Vec3>().dot(front) < 0.0;
         if opposes && double_sided {
             // Its front is where the normals point.
             corners.swap(1, 2);
             normals.swap(1, 2);
+            source = Source::new(source.triangle() as u32, !source.turned());
             front = -front;
         } else if opposes {
             // Its front is the counter-clockwise side, whatever the normals say.
@@ -78,7 +73,10 @@ impl Welder {
         let [a, b, c]: [u32; 3] = triangle;
         if a != b && b != c && c != a {
             self.welded.triangles.push(triangle);
-            self.welded.materials.push(material);
+            self.welded.triangle_materials.push(material);
+            self.welded.sources.push(source);
+        } else {
+            self.welded.dropped += 1;
         }
     }
 
@@ -109,7 +107,7 @@ fn bits(position: Vec3, normal: Vec3) -> [u32; 6] {
 }
 
 /// Unit normal of the counter-clockwise side; none where the triangle has no area.
-pub(super) fn geometric_normal(a: Vec3, b: Vec3, c: Vec3) -> Option<Vec3> {
+pub(crate) fn geometric_normal(a: Vec3, b: Vec3, c: Vec3) -> Option<Vec3> {
     let (a, b, c) = (a.as_dvec3(), b.as_dvec3(), c.as_dvec3());
     (b - a).cross(c - a).try_normalize().map(DVec3::as_vec3)
 }
@@ -135,7 +133,9 @@ fn transform_normals(mesh: &Mesh, normal_matrix: DMat3) -> Vec<Vec3> {
 
 fn check_indices(mesh: &Mesh, materials: usize) -> Result<(), SurfaceError> {
     let vertices = mesh.positions.len();
-    let is_consistent = (mesh.normals.is_empty() || mesh.normals.len() == vertices)
+    // A source keeps one bit for its turn.
+    let is_consistent = mesh.triangles.len() < 1 << 31
+        && (mesh.normals.is_empty() || mesh.normals.len() == vertices)
         && mesh.triangle_materials.len() == mesh.triangles.len()
         && mesh.triangles.iter().flatten().all(|&corner| (corner as usize) < vertices)
         && mesh.triangle_materials.iter().all(|&material| (material as usize) < materials);

@@ -54,25 +54,23 @@ impl Effort {
     }
 }
 
-/// Averages with neighbours: few rounds tell a variance badly, and least where a rare bright sample is still to come.
+/// Averages with neighbours, over the cells at each element: few rounds tell a variance badly, and least where a rare bright
+/// sample is still to come.
 fn smoothed(world: &World, variance: &[f32]) -> Vec<f32> {
-    let mut sums = vec![(0.0f32, 0u32); variance.len()];
-    let mut add = |corners: [u32; 3]| {
-        let mean = corners.map(|e| variance[e as usize]).iter().sum::<f32>() / 3.0;
-        for e in corners {
-            let sum = &mut sums[e as usize];
-            *sum = (sum.0 + mean, sum.1 + 1);
-        }
-    };
+    let mut smooth = variance.to_vec();
     for placed in &world.placed {
-        for triangle in placed.placement.triangles.clone() {
-            let record = &world.geometry.triangles[triangle as usize];
-            let offset = world.parts[record.part() as usize].back_offset;
-            add(record.elements);
-            if offset > 0 {
-                add(record.elements.map(|e| e + offset));
-            }
+        for first in placed.sides() {
+            let own = first as usize..first as usize + placed.layout.len();
+            let variance = &variance[own.clone()];
+            let mean = |(element, smooth): (usize, &mut f32)| {
+                let neighbours = placed.layout.neighbours_of(element as u32);
+                if !neighbours.is_empty() {
+                    let sum: f32 = neighbours.iter().map(|&other| variance[other as usize]).sum();
+                    *smooth = (variance[element] + 2.0 * sum / neighbours.len() as f32) / 3.0;
+                }
+            };
+            smooth[own].par_iter_mut().enumerate().with_min_len(CHUNK).for_each(mean);
         }
     }
-    sums.into_iter().zip(variance).map(|((sum, n), v)| if n > 0 { sum / n as f32 } else { *v }).collect()
+    smooth
 }

@@ -11,7 +11,7 @@ use crate::world::World;
 /// Samples of direct light per element.
 const SAMPLES: u32 = 4;
 
-/// And within a triangle over which it is rough: a lamp near by lights a point between its corners.
+/// And within a cell over which it is rough: a lamp near by lights a point between its corners.
 const PROBES: u32 = 8;
 
 /// From samples that nothing else uses: a choice must not know the noise of what it chooses between.
@@ -35,7 +35,7 @@ impl Hint {
         let radiance = |target: &Target| {
             let corners = target.elements.map(|e| direct[e as usize].weighted(weights));
             let mean = corners.into_iter().sum::<Vec3>() / 3.0;
-            let light = if rough.contains(target.triangle) {
+            let light = if rough.contains(target.cell) {
                 mean.max(probe::<V>(world, target, seed, work).weighted(weights))
             } else {
                 mean
@@ -47,9 +47,9 @@ impl Hint {
     }
 }
 
-/// Mean direct light over one side of a triangle.
+/// Mean direct light over one side of a cell.
 fn probe<V: Value>(world: &World, target: &Target, seed: u64, work: &Work) -> V {
-    let mut rng = Pcg32::new(subseed(seed, 0x9b), 2 * u64::from(target.triangle) + u64::from(target.back));
+    let mut rng = Pcg32::new(subseed(seed, 0x9b), 2 * u64::from(target.cell) + u64::from(target.back));
     let (sequence, mut rays) = (R2::new(&mut rng), 0);
     let sample = |k| {
         let (point, n) = target.point(sequence.get(k));

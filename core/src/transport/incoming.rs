@@ -105,15 +105,15 @@ impl<V: Value, F: Radiance<V>> Source<'_, F, V> {
         rays: &mut u64,
     ) -> V {
         let Some(spots) = self.spots else { return V::default() };
-        let Some((direction, triangle)) = spots.aim(from, u) else { return V::default() };
+        let Some((direction, cell)) = spots.aim(from, u) else { return V::default() };
         *rays += 1;
         let ray = Ray { origin: from.0, direction, t_min: 0.0, t_max: f32::INFINITY };
-        let Some(hit) = world.trees.closest_hit(&ray).filter(|hit| hit.triangle == triangle) else {
+        let Some(hit) = world.trees.closest_hit(&ray) else { return V::default() };
+        let Some(surfel) = Surfel::to_look_up(world, &ray, &hit, rays).filter(|surfel| surfel.cell == cell) else {
             return V::default();
         };
-        let Some(surfel) = Surfel::to_look_up(world, &ray, &hit, rays) else { return V::default() };
-        match surfel.elements {
-            Some(elements) if !is_near(world, elements, hit.t * hit.t) => {
+        match &surfel.footprint {
+            Some(footprint) if !is_near(world, footprint, hit.t * hit.t) => {
                 (self.radiance)(receiver, &surfel, false, rng, rays) * spots.share(world, from, &surfel, ratio)
             }
             _ => V::default(),

@@ -1,10 +1,10 @@
-//! Bright spots: few triangles that send out much of all light, such as what a lamp near a wall, or the sun through a
+//! Bright spots: few cells that send out much of all light, such as what a lamp near a wall, or the sun through a
 //! window, lights. Directions towards them are sampled along with those by the cosine, which seldom find them, and both are
 //! combined by the balance heuristic (Veach and Guibas 1995; design, section 3.4). The light of an update is a change and
 //! its spots may be dark ones.
 
 use std::f32::consts::PI;
-use std::ops::Range;
+use std::sync::Arc;
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -13,9 +13,10 @@ use super::walk::is_near;
 use super::{Surfel, Value};
 use crate::bvh::Hit;
 use crate::sampling::{Discrete, uniform_barycentrics};
+use crate::space::Patch;
 use crate::world::{Placed, World};
 
-/// Radiance over the mean one from which on a triangle belongs to a spot.
+/// Radiance over the mean one from which on a cell belongs to a spot.
 const BRIGHT: f64 = 8.0;
 
 /// Part of all squared radiance from which on spots are worth directions of their own.
@@ -33,15 +34,15 @@ pub(crate) struct Spots {
     targets: Vec<Target>,
     /// By power.
     choice: Discrete,
-    /// Per triangle slot, front and back: density of aimed points, 1/m²; zero off all spots.
+    /// Per id of a cell, front and back: density of aimed points, 1/m²; zero off all spots.
     densities: Vec<[f32; 2]>,
 }
 
-/// One side of a triangle.
+/// One side of a cell.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Target {
-    /// Slot of the triangle.
-    pub triangle: u32,
+    /// Id of the cell.
+    pub cell: u32,
     /// Its back is meant.
     pub back: bool,
     /// Counter-clockwise from the front.
@@ -69,18 +70,18 @@ pub(crate) type From = (Vec3, Vec3);
 impl Spots {
     /// The spots of light sent out; `radiance(side)` tells its amount. None where there are none worth it.
     pub(crate) fn new(world: &World, radiance: impl Fn(&Target) -> f32 + Sync) -> Option<Spots> {
-        let runs = runs(world, |_| true);
-        let amounts_of = |run: &Run| sides(world, run).map(|(area, target)| (area, radiance(&target))).collect();
-        let amounts: Vec<Vec<(f32, f32)>> = runs.par_iter().map(amounts_of).collect();
-        let places = || amounts.par_iter().map(|run| run.iter().copied());
+        let amounts_of = |placed: &Arc<Placed>| sides(world, placed, |area, target| Some((area, radiance(&target))));
+        let amounts: Vec<(f32, f32)> = world.placed.par_iter().flat_map_iter(amounts_of).collect();
+        let places = || amounts.par_chunks(CHUNK).map(|chunk| chunk.iter().copied());
         let limit = limit(places());
         (share_of_bright(places(), limit) > WORTHWHILE).then_some(())?;
-        let bright = |(run, amounts): (_, &Vec<(f32, f32)>)| -> Vec<Spot> {
-            let all = sides(world, run).zip(amounts);
-            let spots = all.filter(|(_, (_, radiance))| *radiance > limit);
-            spots.map(|((area, target), (_, radiance))| Spot { target, area, power: area * radiance }).collect()
+        let bright = |placed: &Arc<Placed>| {
+            sides(world, placed, |area, target| {
+                let radiance = radiance(&target);
+                (radiance > limit).then_some(Spot { target, area, power: area * radiance })
+            })
         };
-        Spots::of(world, &runs.par_iter().zip(&amounts).flat_map_iter(bright).collect::<Vec<Spot>>())
+        Spots::of(world, &world.placed.par_iter().flat_map_iter(bright).collect::<Vec<Spot>>())
     }
 
     /// The spots of a light map, irradiance / π per slot, by what each layer weighs.
@@ -103,45 +104,45 @@ impl Spots {
         };
         let limit = limit(places());
         (share_of_bright(places(), limit) > least).then_some(())?;
-        // Most objects have no bright element, and of the others most triangles have none.
-        let runs = runs(world, |placed| amounts[placed.placement.element_indices()].iter().any(|a| *a > limit));
-        let bright = |run: &Run| -> Vec<Spot> {
-            let spot = |(area, target): (f32, Target)| {
+        // Most objects have no bright element, and of the others most cells have none.
+        let has_bright = |placed: &&Arc<Placed>| amounts[placed.placement.element_indices()].iter().any(|a| *a > limit);
+        let bright = |placed: &Arc<Placed>| {
+            sides(world, placed, |area, target| {
                 let bright = target.elements.iter().any(|&e| amounts[e as usize] > limit);
                 let mean = bright.then(|| target.elements.map(|e| light[e as usize]).into_iter().sum::<V>() / 3.0);
                 let mean = amount(mean?);
                 let power = area * (mean * target.albedo).element_sum();
                 (mean.element_sum() > limit).then_some(Spot { target, area, power })
-            };
-            sides(world, run).filter_map(spot).collect()
+            })
         };
-        Spots::of(world, &runs.par_iter().flat_map_iter(bright).collect::<Vec<Spot>>())
+        let objects = world.placed.par_iter().filter(has_bright);
+        Spots::of(world, &objects.flat_map_iter(bright).collect::<Vec<Spot>>())
     }
 
     fn of(world: &World, spots: &[Spot]) -> Option<Spots> {
         let choice = Discrete::new(spots.iter().map(|s| f64::from(s.power)))?;
-        let mut densities = vec![[0.0; 2]; world.geometry.triangles.len()];
+        let mut densities = vec![[0.0; 2]; world.space.cells()];
         for (k, s) in spots.iter().enumerate() {
-            densities[s.target.triangle as usize][usize::from(s.target.back)] = choice.pdf(k) / s.area;
+            densities[s.target.cell as usize][usize::from(s.target.back)] = choice.pdf(k) / s.area;
         }
         Some(Spots { targets: spots.iter().map(|s| s.target).collect(), choice, densities })
     }
 
-    /// A direction to a spot and the triangle to be met there; none where it is below a horizon.
+    /// A direction to a spot and the cell to be met there; none where it is below a horizon.
     #[inline]
     pub(crate) fn aim(&self, (point, n): From, [u, v]: [f32; 2]) -> Option<(Vec3, u32)> {
         let (index, u) = self.choice.sample(u);
         let target = &self.targets[index];
         let (there, normal) = target.point([u, v]);
         let w = there - point;
-        (n.dot(w) > 0.0 && normal.dot(w) < 0.0).then(|| (w.normalize(), target.triangle))
+        (n.dot(w) > 0.0 && normal.dot(w) < 0.0).then(|| (w.normalize(), target.cell))
     }
 
-    /// How densely directions from where a ray begins are aimed at what it met, per unit of solid angle.
+    /// How densely directions from where a ray begins are aimed at the cell that it met, per unit of solid angle.
     #[inline]
-    pub(crate) fn towards(&self, direction: Vec3, hit: &Hit) -> f32 {
+    pub(crate) fn towards(&self, direction: Vec3, hit: &Hit, cell: u32) -> f32 {
         let cos = -hit.normal.dot(direction);
-        let density = self.densities[hit.triangle as usize][usize::from(cos < 0.0)];
+        let density = self.densities[cell as usize][usize::from(cos < 0.0)];
         if density == 0.0 { 0.0 } else { density * hit.t * hit.t / cos.abs().max(f32::MIN_POSITIVE) }
     }
 
@@ -149,7 +150,7 @@ impl Spots {
     /// cosine, whichever met it: the balance heuristic. All of it where none is aimed at.
     #[inline]
     pub(crate) fn share(&self, world: &World, (point, n): From, surfel: &Surfel, ratio: f32) -> f32 {
-        let density = self.densities[surfel.triangle as usize][usize::from(surfel.is_back)];
+        let density = self.densities[surfel.cell as usize][usize::from(surfel.is_back)];
         if density == 0.0 {
             return 1.0;
         }
@@ -157,7 +158,7 @@ impl Spots {
         let distance2 = w.length_squared();
         // cos_there / distance² and cos_here / π, both times the distance.
         let (here, there) = (n.dot(w), -surfel.normal.dot(w));
-        let is_near = || surfel.elements.is_none_or(|elements| is_near(world, elements, distance2));
+        let is_near = || surfel.footprint.is_none_or(|footprint| is_near(world, &footprint, distance2));
         if here <= 0.0 || there <= 0.0 || is_near() {
             return 1.0;
         }
@@ -200,39 +201,22 @@ struct Spot {
     power: f32,
 }
 
-/// Some triangles of an object.
-type Run<'a> = (&'a Placed, Range<usize>);
-
-/// All triangles of some objects.
-fn runs(world: &World, of: impl Fn(&Placed) -> bool + Sync) -> Vec<Run<'_>> {
-    let of_object = |placed| {
-        let placed: &Placed = placed;
-        let count = placed.surface.triangles.len();
-        (0..count).step_by(CHUNK).map(move |first| (placed, first..count.min(first + CHUNK)))
-    };
-    let objects: Vec<&Placed> = world.placed.par_iter().map(|placed| &**placed).filter(|placed| of(placed)).collect();
-    objects.into_iter().flat_map(of_object).collect()
-}
-
-/// All sides that have elements, with their areas (m²).
-fn sides<'a>(world: &'a World, (placed, run): &Run<'a>) -> impl Iterator<Item = (f32, Target)> + use<'a> {
-    let vertices = &placed.surface.vertices;
-    let first = placed.placement.triangles.start;
-    let triangles = placed.surface.triangles[run.clone()].iter().zip(run.clone());
-    triangles.flat_map(move |(corners, index)| {
-        let triangle = first + index as u32;
-        let record = &world.geometry.triangles[triangle as usize];
-        let part = &world.parts[record.part() as usize];
-        let corners @ [a, b, c] = corners.map(|i| vertices[i as usize]);
+/// What `f` makes of all sides of an object's cells that have elements, with their areas (m²).
+fn sides<T: Send>(world: &World, placed: &Placed, f: impl Fn(f32, Target) -> Option<T> + Sync) -> Vec<T> {
+    let parts = world.space.parts_of(&placed.placement);
+    let of_cell = |patch: &Patch| {
+        let corners @ [a, b, c] = patch.corners;
         let area = 0.5 * (b - a).cross(c - a).length();
-        let side = move |back: bool| {
-            let offset = if back { part.back_offset } else { 0 };
-            let elements = record.elements.map(|e| e + offset);
-            (area, Target { triangle, back, corners, elements, albedo: part.albedo })
+        let albedo = parts[placed.surface.triangle_materials[patch.face as usize] as usize].albedo;
+        let cell = placed.placement.cells.start + patch.cell;
+        let side = |(first, back)| {
+            let elements = patch.elements.map(|element| first + element);
+            if area > 0.0 { f(area, Target { cell, back, corners, elements, albedo }) } else { None }
         };
-        let front = (area > 0.0).then(|| side(false));
-        front.into_iter().chain((area > 0.0 && part.back_offset > 0).then(|| side(true)))
-    })
+        let mut found = placed.sides().zip([false, true]).map(side);
+        Some([found.next().flatten(), found.next().flatten()])
+    };
+    placed.layout.of_cells(&placed.surface, of_cell).into_iter().flatten().flatten().collect()
 }
 
 #[cfg(test)]
@@ -330,7 +314,7 @@ mod tests {
             let [a, b, c] = t.corners;
             0.5 * (b - a).cross(c - a).length()
         };
-        let density = |t: &Target| spots.densities[t.triangle as usize][usize::from(t.back)];
+        let density = |t: &Target| spots.densities[t.cell as usize][usize::from(t.back)];
         let sum: f64 = spots.targets.iter().map(|t| f64::from(density(t) * area(t))).sum();
         assert!((sum - 1.0).abs() < 1e-5, "{sum}");
     }

@@ -1,9 +1,9 @@
-//! What a ray met: a reflecting point and the elements that its light is looked up at.
+//! What a ray met: a reflecting point and the slots that its light is looked up at.
 
 use glam::Vec3;
 
-use super::Value;
 use crate::bvh::{Hit, Ray};
+use crate::space::{Footprint, Part, Spot};
 use crate::world::World;
 
 /// A reflecting point that a ray met, seen from the side of the ray.
@@ -17,48 +17,49 @@ pub(crate) struct Surfel {
     pub albedo: Vec3,
     /// Index of its part.
     pub part: u32,
-    /// Its triangle's slot.
-    pub triangle: u32,
     /// The ray met the triangle's back.
     pub is_back: bool,
-    /// Element slots of the corners on that side; none where there are none that know the light of this point.
-    pub elements: Option<[u32; 3]>,
-    /// Weights of the corners, sum 1.
-    pub weights: [f32; 3],
+    /// Id of the cell that the point lies in.
+    pub cell: u32,
+    /// Where its light is looked up; none where no element knows it.
+    pub footprint: Option<Footprint>,
 }
 
 impl Surfel {
     /// Resolves a hit; none where the side that was met reflects nothing.
     #[inline]
     pub(crate) fn new(world: &World, ray: &Ray, hit: &Hit) -> Option<Surfel> {
-        let record = &world.geometry.triangles[hit.triangle as usize];
-        let part = &world.parts[record.part() as usize];
-        let back = hit.normal.dot(ray.direction) > 0.0;
-        if back && !part.double_sided {
-            return None;
-        }
-        let elements = match (back, part.back_offset) {
-            (false, _) => Some(record.elements),
-            (true, 0) => None,
-            (true, offset) => Some(record.elements.map(|e| e + offset)),
-        };
-        Some(Surfel {
-            position: ray.origin + ray.direction * hit.t,
-            normal: if back { -hit.normal } else { hit.normal },
-            albedo: part.albedo,
-            part: record.part(),
-            triangle: hit.triangle,
-            is_back: back,
-            elements,
-            weights: [1.0 - hit.u - hit.v, hit.u, hit.v],
-        })
+        let (mut surfel, part) = Surfel::reflecting(world, ray, hit)?;
+        Spot { cell: surfel.cell, footprint: surfel.footprint } = world.space.spot(hit, part, surfel.is_back);
+        Some(surfel)
     }
 
-    /// As [`Surfel::new`], for look-ups: where a wall cuts the triangle, only corners on this side of it count.
+    /// Resolves a hit whose light nobody looks up: without cell and footprint. Answers its part, too.
+    #[inline]
+    pub(crate) fn reflecting<'w>(world: &'w World, ray: &Ray, hit: &Hit) -> Option<(Surfel, &'w Part)> {
+        let index = world.space.part_index(hit.triangle);
+        let part = &world.space.parts()[index as usize];
+        let is_back = hit.normal.dot(ray.direction) > 0.0;
+        if is_back && !part.double_sided {
+            return None;
+        }
+        let surfel = Surfel {
+            position: ray.origin + ray.direction * hit.t,
+            normal: if is_back { -hit.normal } else { hit.normal },
+            albedo: part.albedo,
+            part: index,
+            is_back,
+            cell: u32::MAX,
+            footprint: None,
+        };
+        Some((surfel, part))
+    }
+
+    /// As [`Surfel::new`], for look-ups: where a wall stands on the cell, only elements on this side of it count.
     #[inline]
     pub(crate) fn to_look_up(world: &World, ray: &Ray, hit: &Hit, rays: &mut u64) -> Option<Surfel> {
         let mut surfel = Surfel::new(world, ray, hit)?;
-        if world.geometry.triangles[hit.triangle as usize].is_cut() {
+        if world.space.is_cut(surfel.cell) {
             surfel.leave_out_hidden(world, rays);
         }
         Some(surfel)
@@ -66,55 +67,34 @@ impl Surfel {
 
     #[cold]
     fn leave_out_hidden(&mut self, world: &World, rays: &mut u64) {
-        let Some(elements) = self.elements else { return };
-        let lift = world.lift();
-        let from = self.position + self.normal * lift;
-        let mut sum = 0.0;
-        for (weight, element) in self.weights.iter_mut().zip(elements) {
-            let to = world.geometry.positions[element as usize] + self.normal * lift;
+        let above = self.normal * world.lift();
+        let from = self.position + above;
+        let is_hidden = |slot: u32| {
+            let to = world.positions()[slot as usize] + above;
             *rays += 1;
             let ray = Ray { origin: from, direction: to - from, t_min: 0.0, t_max: 0.98 };
-            if from != to && world.trees.any_hit(&ray) {
-                *weight = 0.0;
-            }
-            sum += *weight;
-        }
-        if sum > 1e-3 {
-            self.weights.iter_mut().for_each(|w| *w /= sum);
-        } else {
-            self.elements = None;
-        }
+            from != to && world.trees.any_hit(&ray)
+        };
+        self.footprint = self.footprint.and_then(|footprint| footprint.without(is_hidden));
     }
 
     /// The element slot that weighs most; `u32::MAX` where there is none.
     #[inline]
     pub(crate) fn nearest_element(&self) -> u32 {
-        let [a, b, c] = self.weights;
-        let k = if a >= b && a >= c { 0 } else { 1 + usize::from(c > b) };
-        self.elements.map_or(u32::MAX, |e| e[k])
+        self.footprint.map_or(u32::MAX, |footprint| footprint.heaviest())
     }
 
     /// An element slot drawn by its weight, with a uniform number.
     #[inline]
     pub(crate) fn element_by_weight(&self, u: f32) -> u32 {
-        let [a, b, _] = self.weights;
-        self.elements.map_or(u32::MAX, |e| e[usize::from(u >= a) + usize::from(u >= a + b)])
+        self.footprint.map_or(u32::MAX, |footprint| footprint.slots()[footprint.drawn(u)])
     }
 
-    /// Has the values of its corners fetched into the cache.
+    /// Has the values that are looked up fetched into the cache.
     #[inline]
     pub(crate) fn fetch<V>(&self, values: &[V]) {
-        for value in self.elements.iter().flatten().filter_map(|&element| values.get(element as usize)) {
-            fetch(value);
-        }
-    }
-
-    /// Barycentric look-up.
-    #[inline]
-    pub(crate) fn interpolate<V: Value>(&self, elements: [u32; 3], values: &[V]) -> V {
-        values[elements[0] as usize] * self.weights[0]
-            + values[elements[1] as usize] * self.weights[1]
-            + values[elements[2] as usize] * self.weights[2]
+        let slots = self.footprint.iter().flat_map(|footprint| footprint.slots());
+        slots.filter_map(|&slot| values.get(slot as usize)).for_each(fetch);
     }
 }
 

@@ -2,6 +2,8 @@
 //! two spacings of the elements there are not looked up. A map interpolated across a contact leaks there (design, section 2: 0.2 % of the
 //! elements carried 54 % of the squared bias). Light is sampled at the hit instead, and the path goes on.
 
+use std::sync::Arc;
+
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -11,7 +13,8 @@ use super::{Spots, Surfel, Value};
 use crate::bvh::Ray;
 use crate::random::Pcg32;
 use crate::sampling::cosine_hemisphere;
-use crate::world::World;
+use crate::space::{Footprint, Patch};
+use crate::world::{Placed, World};
 
 /// Hits nearer than this many spacings of the elements there are near.
 const NEAR: f32 = 2.0;
@@ -58,9 +61,9 @@ pub(crate) fn walk(
             return if depth > 0 { End::Escaped(weight) } else { End::Absorbed };
         };
         let Some(surfel) = Surfel::to_look_up(world, &ray, &hit, rays) else { return End::Absorbed };
-        let is_near = match surfel.elements {
+        let is_near = match &surfel.footprint {
             None => true,
-            Some(elements) => depth < NEAR_DEPTH && is_near(world, elements, hit.t * hit.t),
+            Some(footprint) => depth < NEAR_DEPTH && is_near(world, footprint, hit.t * hit.t),
         };
         visit(&surfel, weight, is_near, rng, rays);
         weight *= surfel.albedo;
@@ -85,9 +88,9 @@ pub(crate) fn walk(
 
 /// Whether elements are not to be looked up from a distance, given as its square.
 #[inline]
-pub(crate) fn is_near(world: &World, elements: [u32; 3], distance2: f32) -> bool {
+pub(crate) fn is_near(world: &World, footprint: &Footprint, distance2: f32) -> bool {
     // A fine mesh can be trusted from nearer.
-    let area = elements.map(|e| world.geometry.areas[e as usize]).into_iter().fold(0.0, f32::max);
+    let area = footprint.slots().iter().map(|&slot| world.areas()[slot as usize]).fold(0.0, f32::max);
     let near = NEAR * world.spacing();
     distance2 < near * near && distance2 < NEAR * NEAR * AREA_TO_SPACING * area
 }
@@ -103,14 +106,15 @@ pub(crate) struct Field<'a, V> {
     pub rough: &'a Rough,
 }
 
-/// Triangles over which direct light changes so much that interpolation between their corners would be off: at the
-/// edges of shadows and close to lamps.
+/// Cells over which direct light changes so much that interpolation between their corners would be off: at the edges of
+/// shadows and close to lamps.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Rough {
-    triangles: Vec<bool>,
+    /// A bit per id; empty where there is none.
+    cells: Vec<u64>,
 }
 
-/// Difference of the direct light at a triangle's corners over their mean from which on it is rough.
+/// Difference of the direct light at a cell's corners over their mean from which on it is rough.
 const ROUGH: f32 = 0.5;
 
 impl Rough {
@@ -122,16 +126,22 @@ impl Rough {
             let [a, b, c] = corners.map(light);
             a.max(b).max(c) - a.min(b).min(c) > ROUGH / 3.0 * (a + b + c)
         };
-        let of_triangle = |t: &crate::world::TriangleRecord| {
-            let offset = world.parts.get(t.part() as usize).map_or(0, |p| p.back_offset);
-            is_rough(t.elements) || offset > 0 && is_rough(t.elements.map(|e| e + offset))
+        let of_object = |placed: &Arc<Placed>| -> Vec<u32> {
+            let rough = |patch: &Patch| {
+                let is_rough = placed.sides().any(|first| is_rough(patch.elements.map(|e| first + e)));
+                is_rough.then_some(placed.placement.cells.start + patch.cell)
+            };
+            placed.layout.of_cells(&placed.surface, rough)
         };
-        Rough { triangles: world.geometry.triangles.par_iter().with_min_len(4096).map(of_triangle).collect() }
+        let rough: Vec<u32> = world.placed.par_iter().flat_map_iter(of_object).collect();
+        let mut cells = if rough.is_empty() { Vec::new() } else { vec![0; world.space.cells().div_ceil(64)] };
+        rough.into_iter().for_each(|cell| cells[cell as usize / 64] |= 1 << (cell % 64));
+        Rough { cells }
     }
 
     #[inline]
-    pub(crate) fn contains(&self, triangle: u32) -> bool {
-        self.triangles.get(triangle as usize).copied().unwrap_or(false)
+    pub(crate) fn contains(&self, cell: u32) -> bool {
+        self.cells.get(cell as usize / 64).is_some_and(|bits| bits >> (cell % 64) & 1 == 1)
     }
 }
 
@@ -140,10 +150,10 @@ impl<V: Value> Field<'_, V> {
     /// the path goes on from there.
     #[inline]
     pub(crate) fn at(&self, world: &World, surfel: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64) -> V {
-        let Some(elements) = surfel.elements.filter(|_| !near) else { return light_at(world, surfel, rng, rays) };
-        let total = surfel.interpolate(elements, self.total);
-        if self.rough.contains(surfel.triangle) {
-            let indirect = total - surfel.interpolate(elements, self.direct);
+        let Some(footprint) = surfel.footprint.filter(|_| !near) else { return light_at(world, surfel, rng, rays) };
+        let total = footprint.interpolate(self.total);
+        if self.rough.contains(surfel.cell) {
+            let indirect = total - footprint.interpolate(self.direct);
             return indirect + light_at(world, surfel, rng, rays) + sky_at(world, surfel, rng, rays);
         }
         total

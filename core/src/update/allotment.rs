@@ -253,7 +253,7 @@ mod tests {
         seed: u64,
     ) -> Exchange<Vec3> {
         let radiance = |_: u32, s: &Surfel, _: bool, _: &mut Pcg32, _: &mut u64| {
-            s.elements.map_or(Vec3::ZERO, |e| s.interpolate(e, change) * s.albedo)
+            s.footprint.map_or(Vec3::ZERO, |footprint| footprint.interpolate(change) * s.albedo)
         };
         let source = Source { radiance, looked_up: change, sky: Vec3::ZERO, spots: None };
         Exchange::trace(world, subset, rows, &source, paths, seed, &Work::new(&Unobserved)).expect("nobody cancels")

@@ -15,8 +15,8 @@ pub(super) fn places(transition: &Transition, brightest: f32) -> Vec<Place> {
         transition.changed_bounds().into_iter().map(|bounds| place_of(bounds, brightest)).collect();
     let Transition { before, after, .. } = transition;
     let repaint = transition.repaint();
-    for (placed, object) in after.placed.iter().zip(&after.scene.objects) {
-        let parts = placed.parts_first as usize..placed.parts_first as usize + object.materials.len();
+    for placed in &after.placed {
+        let parts = placed.placement.parts.start as usize..placed.placement.parts.end as usize;
         let change = repaint[parts].iter().map(|change| change.abs().max_element()).fold(0.0, f32::max);
         if change > 0.0 {
             places.push(place_of(placed.surface.bounds(), change * brightest));

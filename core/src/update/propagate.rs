@@ -11,6 +11,7 @@ use crate::job::{Canceled, Pass};
 use crate::random::{Pcg32, subseed};
 use crate::rounds::{Estimate, Round};
 use crate::solve::{Exchange, Paths, Rows};
+use crate::space::Patch;
 use crate::transport::{Effort, Radiance, Source, Spots, Surfel, Value, gather};
 use crate::world::World;
 
@@ -61,17 +62,17 @@ impl<V: Value> Change<'_, V> {
     /// from near surfaces through the new scene when they were gathered.
     #[inline]
     fn radiance(&self, bounces: Option<&[V]>, slot: u32, s: &Surfel, near: bool) -> V {
-        let Some(elements) = s.elements else { return V::default() };
+        let Some(footprint) = s.footprint else { return V::default() };
         let bounced = match bounces {
-            Some(bounces) if !near => s.interpolate(elements, bounces) * s.albedo,
+            Some(bounces) if !near => footprint.interpolate(bounces) * s.albedo,
             _ => V::default(),
         };
         if self.is_new.get(slot as usize).copied().unwrap_or(false) {
-            return if near { bounced } else { bounced + s.interpolate(elements, &self.seen_by_new) * s.albedo };
+            return if near { bounced } else { bounced + footprint.interpolate(&self.seen_by_new) * s.albedo };
         }
-        let change = bounced + s.interpolate(elements, &self.seen_by_old) * s.albedo;
+        let change = bounced + footprint.interpolate(&self.seen_by_old) * s.albedo;
         match self.repainted {
-            Some((repaint, light)) => change + s.interpolate(elements, light) * repaint[s.part as usize],
+            Some((repaint, light)) => change + footprint.interpolate(light) * repaint[s.part as usize],
             None => change,
         }
     }
@@ -84,15 +85,21 @@ impl<V: Value> Change<'_, V> {
         let of_light = |light: &V| amount(light.weighted(weights));
         let mut amounts: Vec<f32> = self.seen_by_old.par_iter().with_min_len(CHUNK).map(of_light).collect();
         let Some((repaint, light)) = self.repainted else { return amounts };
-        for slot in world.placed.iter().flat_map(|p| p.placement.triangles.clone()) {
-            let triangle = &world.geometry.triangles[slot as usize];
-            let (change, part) = (repaint[triangle.part() as usize], &world.parts[triangle.part() as usize]);
-            if change == Vec3::ZERO {
+        for placed in &world.placed {
+            let parts = placed.placement.parts.start as usize..placed.placement.parts.end as usize;
+            let repaint = &repaint[parts];
+            if repaint.iter().all(|change| *change == Vec3::ZERO) {
                 continue;
             }
-            for slot in [0, part.back_offset].into_iter().flat_map(|side| triangle.elements.map(|e| e + side)) {
-                let reflected = amount(light[slot as usize].weighted(weights) * change) / ALBEDO;
-                amounts[slot as usize] = amounts[slot as usize].max(reflected);
+            let of_cell = |patch: &Patch| {
+                let change = repaint[placed.surface.triangle_materials[patch.face as usize] as usize];
+                (change != Vec3::ZERO).then_some((patch.elements, change))
+            };
+            for (elements, change) in placed.layout.of_cells(&placed.surface, of_cell) {
+                for slot in placed.sides().flat_map(|first| elements.map(|element| (first + element) as usize)) {
+                    let reflected = amount(light[slot].weighted(weights) * change) / ALBEDO;
+                    amounts[slot] = amounts[slot].max(reflected);
+                }
             }
         }
         amounts

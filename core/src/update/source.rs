@@ -45,8 +45,8 @@ struct RayChange<V> {
     sky: V,
     /// Reflected radiance.
     reflected: V,
-    /// Surfaces of the new world that are seen in one of both worlds.
-    seen: [Option<Hit>; 2],
+    /// Surfaces of the new world that are seen in one of both worlds, and their cells.
+    seen: [Option<(Hit, u32)>; 2],
 }
 
 /// Rays towards the geometry of an edit.
@@ -127,11 +127,11 @@ impl<'a> Source<'a> {
                 }
                 let ray = Ray { origin: point, direction, t_min: 0.0, t_max: f32::INFINITY };
                 let Some(change) = self.ray_change(&ray, maps, rays) else { return };
-                if target.is_some_and(|target| !change.seen.iter().flatten().any(|hit| hit.triangle == target)) {
+                if target.is_some_and(|target| !change.seen.iter().flatten().any(|(_, cell)| *cell == target)) {
                     return;
                 }
                 let density = maps.spots.map_or(0.0, |spots| {
-                    change.seen.iter().flatten().map(|hit| spots.towards(direction, hit)).sum::<f32>()
+                    change.seen.iter().flatten().map(|(hit, cell)| spots.towards(direction, hit, *cell)).sum::<f32>()
                 });
                 let weight = cos * FRAC_1_PI / (pdf + ratio * density);
                 sky += change.sky * weight;
@@ -177,7 +177,16 @@ impl<'a> Source<'a> {
         let sky = |world: &World, hidden: bool| if hidden { V::default() } else { world.emitters.sky() };
         let free = behind.is_none();
         let sky = sky(&t.after, !free || came.is_some()) - sky(&t.after, !free || went.is_some());
-        let seen = [came.filter(|_| came_t < behind_t), behind];
+        // Cells are asked for where they are aimed at, and nowhere else.
+        let cell = |hit: Hit| {
+            let part = t.after.space.part(hit.triangle);
+            let back = hit.normal.dot(ray.direction) > 0.0;
+            (hit, t.after.space.spot(&hit, part, back).cell)
+        };
+        let seen = match maps.spots {
+            Some(_) => [came.filter(|_| came_t < behind_t), behind].map(|hit| hit.map(cell)),
+            None => [None; 2],
+        };
         Some(RayChange { sky, reflected: after - before, seen })
     }
 }
@@ -192,7 +201,7 @@ fn closest(tree: Option<&Bvh>, ray: &Ray, rays: &mut u64) -> Option<Hit> {
 /// Reflected radiance of a hit in one of the worlds.
 fn look<V: Value>(world: &World, ray: &Ray, hit: Option<&Hit>, map: &[V], rays: &mut u64) -> V {
     let Some(surfel) = hit.and_then(|h| Surfel::to_look_up(world, ray, h, rays)) else { return V::default() };
-    surfel.elements.map_or(V::default(), |e| surfel.interpolate(e, map) * surfel.albedo)
+    surfel.footprint.map_or(V::default(), |footprint| footprint.interpolate(map) * surfel.albedo)
 }
 
 #[cfg(test)]

@@ -149,15 +149,13 @@ impl Draft {
 
     fn add_object(&mut self, object: crate::scene::Object) -> Result<(), EditError> {
         let world = &self.world;
-        let (surface, coarse) =
-            build::subdivide(&world.scene, &object, world.resolution, &world.options).map_err(|e| too_large(&e))?;
-        let present = self.world.placed.iter().map(|p| &*p.surface).chain([&*surface]);
+        let ready =
+            build::Ready::new(&world.scene, &object, world.resolution, &world.options).map_err(|e| too_large(&e))?;
+        let present = self.world.placed.iter().map(|p| &*p.layout).chain([&*ready.layout]);
         build::check_size(present, world.spacing(), &world.options).map_err(|e| too_large(&e))?;
         let key = self.world.next_key;
         self.world.next_key += 1;
-        let geometry = Arc::make_mut(&mut self.world.geometry);
-        let parts = Arc::make_mut(&mut self.world.parts);
-        let placed = build::place(geometry, parts, &object, surface, coarse, key, false);
+        let placed = ready.place(&mut self.world.space, &object, key, false);
         self.touched.push(placed.surface.bounds());
         self.world.scene.objects.push(object);
         self.world.placed.push(Arc::new(placed));
@@ -172,7 +170,7 @@ impl Draft {
             .scene
             .lights
             .retain(|l| !matches!(&l.kind, LightKind::Emissive { object: o, .. } if *o == object.name));
-        Arc::make_mut(&mut self.world.geometry).clear(&placed.placement);
+        self.world.space.clear(&placed.placement);
         self.take_out(&placed);
     }
 
@@ -187,7 +185,7 @@ impl Draft {
         trees.small.retain(|(key, _)| *key != placed.key);
         if trees.small.len() == small {
             let mut mask = trees.gone.as_deref().cloned().unwrap_or_else(|| TriangleMask::new(0));
-            placed.placement.triangles.clone().for_each(|id| mask.set(id, true));
+            placed.placement.faces.clone().for_each(|id| mask.set(id, true));
             trees.gone = Some(Arc::new(mask));
         }
     }
@@ -205,19 +203,20 @@ impl Draft {
             return self.add_object(object);
         }
         let to_scene = DMat4::from_translation(-self.world.scene.origin);
-        let surface = Arc::new(old.surface.transformed(&(to_scene * step * to_scene.inverse())));
-        let first = old.placement.elements.start as usize;
-        Arc::make_mut(&mut self.world.geometry).write_elements(&surface, first, old.with_back);
+        let motion = to_scene * step * to_scene.inverse();
+        let surface = Arc::new(old.surface.transformed(&motion));
+        let elements = self.world.space.elements_of(&old.placement, &old.layout).transformed(&motion);
+        self.world.space.write(&old.placement, &elements, old.with_back);
         self.take_out(&old);
         self.touched.push(surface.bounds());
         self.come.insert(old.key);
         let placed = Placed {
             key: old.key,
             surface,
+            layout: Arc::clone(&old.layout),
             coarse: Arc::clone(&old.coarse),
             placement: old.placement.clone(),
             with_back: old.with_back,
-            parts_first: old.parts_first,
         };
         self.world.scene.objects[index] = object;
         self.world.placed[index] = Arc::new(placed);
@@ -229,10 +228,8 @@ impl Draft {
         if !albedo.is_finite() || albedo.cmplt(Vec3::ZERO).any() || albedo.cmpgt(Vec3::ONE).any() {
             return Err(invalid("albedo", "must hold three numbers from 0 to 1"));
         }
-        let first = self.world.placed[index].parts_first as usize;
-        let object = &mut self.world.scene.objects[index];
-        object.materials.iter_mut().for_each(|m| m.albedo = albedo);
-        let parts = &mut Arc::make_mut(&mut self.world.parts)[first..first + object.materials.len()];
+        self.world.scene.objects[index].materials.iter_mut().for_each(|m| m.albedo = albedo);
+        let parts = self.world.space.parts_of_mut(&self.world.placed[index].placement);
         parts.iter_mut().for_each(|part| part.albedo = albedo);
         Ok(())
     }
@@ -250,12 +247,12 @@ impl Draft {
             self.settle_new_objects()?;
         } else {
             // Slots that an object had while it was there.
-            self.world.geometry = Arc::clone(&before.geometry);
+            self.world.space.take_geometry(&before.space);
         }
         let Draft { mut world, gone, come, touched, .. } = self;
         let mut ranges = Vec::new();
         if changed {
-            world.epsilon = world.epsilon.max(build::epsilon_of(&world.geometry));
+            world.epsilon = world.epsilon.max(build::epsilon_of(&world.space));
             let placed = world.placed.iter().filter(|p| come.contains(&p.key));
             ranges = placed.map(|p| p.placement.elements.clone()).collect();
             let grown: Vec<(Vec3, Vec3)> = touched
@@ -299,11 +296,9 @@ impl Draft {
             if !placed.with_back && probe::back_seen(&self.world, index) {
                 self.give_back(index, &placed);
             }
-            let placed = &self.world.placed[index];
-            let solid = self.world.is_solid(placed);
-            let (first, count) = (placed.parts_first as usize, self.world.scene.objects[index].materials.len());
-            let parts = Arc::make_mut(&mut self.world.parts);
-            parts[first..first + count].iter_mut().for_each(|p| p.solid = solid);
+            let placed = Arc::clone(&self.world.placed[index]);
+            let solid = self.world.is_solid(&placed);
+            self.world.space.parts_of_mut(&placed.placement).iter_mut().for_each(|p| p.solid = solid);
         }
         if self.world.slots() > self.world.options.max_elements {
             let limit = self.world.options.max_elements;
@@ -316,50 +311,32 @@ impl Draft {
         Ok(())
     }
 
-    /// Places an object again, with elements on its back. Its triangle slots stay.
+    /// Places an object again, with elements on its back.
     fn give_back(&mut self, index: usize, old: &Placed) {
-        let geometry = Arc::make_mut(&mut self.world.geometry);
-        geometry.clear(&old.placement);
-        let object = &self.world.scene.objects[index];
-        let parts = Arc::make_mut(&mut self.world.parts);
-        let placement = geometry.place(&old.surface, old.key, true, old.parts_first);
-        let first = old.parts_first as usize;
-        let back_offset = old.surface.positions.len() as u32;
-        parts[first..first + object.materials.len()].iter_mut().for_each(|p| p.back_offset = back_offset);
-        let placed = Placed {
-            key: old.key,
-            surface: Arc::clone(&old.surface),
-            coarse: Arc::clone(&old.coarse),
-            with_back: true,
-            parts_first: old.parts_first,
-            placement,
-        };
-        self.world.placed[index] = Arc::new(placed);
+        let ready = build::Ready::again(&self.world, old);
+        self.world.space.clear(&old.placement);
+        let placed = ready.place(&mut self.world.space, &self.world.scene.objects[index], old.key, true);
         // The triangles may have found another hole than before.
-        let placed = &self.world.placed[index];
-        let tree = build::small_tree(placed);
+        let tree = build::small_tree(&placed);
         self.world.trees.small.retain(|(key, _)| *key != placed.key);
         self.world.trees.small.push((placed.key, tree));
+        self.world.placed[index] = Arc::new(placed);
     }
 }
 
 fn merged_tree<'a>(objects: impl Iterator<Item = &'a Placed>) -> Option<Arc<Bvh>> {
-    let (mut corners, mut ids) = (Vec::new(), Vec::new());
-    for placed in objects {
-        let (c, i) = build::corners_of(placed);
-        corners.extend(c);
-        ids.extend(i);
-    }
+    let (corners, ids) = build::corners_of(objects);
     (!ids.is_empty()).then(|| Arc::new(Bvh::build(&corners, &ids, BuildQuality::Fast)))
 }
 
 /// Rows that get their first value: of objects that came, and what came out of a solid. Ascending.
 fn new_rows(before: &World, after: &World, ranges: &[Range<u32>]) -> Vec<u32> {
-    let is_computed = |slot: u32| after.geometry.areas[slot as usize] > 0.0 && after.validity.is_valid(slot as usize);
+    let is_computed = |slot: u32| after.areas()[slot as usize] > 0.0 && after.validity.is_valid(slot as usize);
     let is_of_new = |slot: u32| ranges.iter().any(|range| range.contains(&slot));
     let came = ranges.iter().cloned().flatten();
     let came_out = before.validity.invalid_of(&(0..u32::MAX)).iter().copied().filter(|&slot| {
-        let owners = [&before.geometry.owners, &after.geometry.owners].map(|owners| owners.get(slot as usize));
+        let owners =
+            [&before.space.slots().owners, &after.space.slots().owners].map(|owners| owners.get(slot as usize));
         owners[0] == owners[1] && !is_of_new(slot)
     });
     let mut rows: Vec<u32> = came.chain(came_out).filter(|&slot| is_computed(slot)).collect();

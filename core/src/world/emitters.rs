@@ -15,6 +15,8 @@ const FEW: usize = 4;
 /// An emissive triangle in scene space.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct EmissiveTriangle {
+    /// Index in its object's surface.
+    pub face: u32,
     /// Corners, counter-clockwise from the front.
     pub corners: [Vec3; 3],
     /// Unit geometric normal.
@@ -28,7 +30,8 @@ pub(crate) struct EmissiveTriangle {
 pub(crate) enum Shape {
     /// Emissive triangles.
     Surface {
-        /// In the file's order: neighbours mostly follow each other, so that inversion keeps stratification.
+        /// Ascending by face, along a curve in space: neighbours mostly follow each other, so that inversion keeps
+        /// stratification.
         triangles: Vec<EmissiveTriangle>,
         /// By area.
         choice: Discrete,

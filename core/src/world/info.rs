@@ -2,8 +2,9 @@
 
 use glam::{DVec3, Vec3};
 
-use super::{NO_OBJECT, World};
+use super::World;
 use crate::scene::{Light, LightKind};
+use crate::space::NO_OBJECT;
 
 /// An object as clients see it.
 #[derive(Clone, Debug)]
@@ -18,7 +19,7 @@ pub struct ObjectInfo<'a> {
     pub element_count: u32,
     /// The second half of the slots belongs to the back.
     pub with_back: bool,
-    /// Subdivided triangles.
+    /// Triangles between its elements.
     pub triangle_count: u32,
     /// World-space bounds, metres.
     pub bounds: (DVec3, DVec3),
@@ -42,12 +43,12 @@ impl World {
             let surface = &placed.surface;
             // An object without triangles is where its origin is.
             let place = (object.world_from_object.w_axis.truncate() - self.scene.origin).as_vec3();
-            let (low, high) = if surface.vertices.is_empty() { (place, place) } else { surface.bounds() };
+            let (low, high) = if surface.positions.is_empty() { (place, place) } else { surface.bounds() };
             let (mut albedo, mut area) = (Vec3::ZERO, 0.0);
-            for (t, m) in surface.triangles.iter().zip(&surface.triangle_materials) {
-                let [a, b, c] = t.map(|i| surface.vertices[i as usize]);
+            let parts = self.space.parts_of(&placed.placement);
+            for ([a, b, c], m) in surface.all_corners().zip(&surface.triangle_materials) {
                 let weight = (b - a).cross(c - a).length();
-                albedo += self.parts[(placed.parts_first + m) as usize].albedo * weight;
+                albedo += parts[*m as usize].albedo * weight;
                 area += weight;
             }
             ObjectInfo {
@@ -56,7 +57,7 @@ impl World {
                 first_element: placed.placement.elements.start,
                 element_count: placed.placement.elements.len() as u32,
                 with_back: placed.with_back,
-                triangle_count: placed.placement.triangles.len() as u32,
+                triangle_count: placed.layout.cell_count() as u32,
                 bounds: (low.as_dvec3() + self.scene.origin, high.as_dvec3() + self.scene.origin),
                 albedo: if area > 0.0 { albedo / area } else { Vec3::ZERO },
             }

@@ -1,4 +1,4 @@
-//! A scene made ready for transport: elements, trees, emitters. Immutable; an edit makes the next one
+//! A scene made ready for transport: surfaces, elements, trees, emitters. Immutable; an edit makes the next one
 //! ([`World::apply`]) and shares with it all that did not change.
 
 mod apply;
@@ -7,8 +7,6 @@ mod check;
 mod choice;
 mod coarse;
 mod emitters;
-mod geometry;
-mod holes;
 mod info;
 mod lights;
 mod motion;
@@ -19,14 +17,12 @@ mod transition;
 mod trees;
 mod validity;
 
-pub use geometry::NO_OBJECT;
 pub use info::{LightInfo, ObjectInfo};
 pub use transition::Transition;
 pub use trees::Trees;
 
 pub(crate) use coarse::Coarse;
 pub(crate) use emitters::{Emitter, Emitters, Shape};
-pub(crate) use geometry::{Geometry, Part, Placement, TriangleRecord};
 pub(crate) use sight::Hidden;
 pub(crate) use validity::Validity;
 
@@ -37,6 +33,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::scene::Scene;
+use crate::space::{Layout, Placement, Space};
 use crate::surface::{Surface, SurfaceError};
 
 /// Limits and resolution of a world.
@@ -46,7 +43,7 @@ pub struct WorldOptions {
     pub spacing: Option<f32>,
     /// More element slots than this are refused.
     pub max_elements: usize,
-    /// More subdivided triangles than this are refused.
+    /// More triangles between elements than this are refused.
     pub max_triangles: usize,
     /// What light maps state the error of.
     pub stated: Stated,
@@ -110,16 +107,24 @@ pub enum WorldError {
 pub(crate) struct Placed {
     /// Never used again within a scene's life.
     pub key: u32,
-    /// Subdivided mesh in scene space.
+    /// The triangles of the file, in scene space.
     pub surface: Arc<Surface>,
+    /// How its elements are laid out.
+    pub layout: Arc<Layout>,
     /// Subset for smooth light, over the front's elements.
     pub coarse: Arc<Coarse>,
     /// Slots.
     pub placement: Placement,
     /// The back has elements of its own.
     pub with_back: bool,
-    /// Index of the part of material 0.
-    pub parts_first: u32,
+}
+
+impl Placed {
+    /// The slots of the first element of its front, and of its back where that has elements.
+    pub(crate) fn sides(&self) -> impl Iterator<Item = u32> {
+        let first = self.placement.elements.start;
+        [Some(first), self.with_back.then(|| first + self.layout.len() as u32)].into_iter().flatten()
+    }
 }
 
 /// How far what is computed lies apart, metres.
@@ -140,8 +145,7 @@ pub struct World {
     pub(crate) resolution: Resolution,
     /// In the order of `scene.objects`.
     pub(crate) placed: Vec<Arc<Placed>>,
-    pub(crate) geometry: Arc<Geometry>,
-    pub(crate) parts: Arc<Vec<Part>>,
+    pub(crate) space: Space,
     pub(crate) trees: Trees,
     pub(crate) emitters: Arc<Emitters>,
     pub(crate) validity: Arc<Validity>,
@@ -170,7 +174,7 @@ impl World {
 
     /// Length of the light map, holes of removed objects included.
     pub fn slots(&self) -> usize {
-        self.geometry.owners.len()
+        self.space.slots().owners.len()
     }
 
     /// Slots that hold an element.
@@ -178,31 +182,36 @@ impl World {
         self.placed.iter().map(|p| p.placement.elements.len()).sum()
     }
 
-    /// Subdivided triangles.
+    /// Triangles between the elements: what the light map of a client is drawn with.
     pub fn triangle_count(&self) -> usize {
-        self.placed.iter().map(|p| p.placement.triangles.len()).sum()
+        self.placed.iter().map(|p| p.layout.cell_count()).sum()
+    }
+
+    /// Triangles of the file that rays meet.
+    pub fn face_count(&self) -> usize {
+        self.placed.iter().map(|p| p.surface.triangles.len()).sum()
     }
 
     /// Sample points per slot, scene space: add [`Scene::origin`] for world space.
     pub fn positions(&self) -> &[Vec3] {
-        &self.geometry.positions
+        &self.space.slots().positions
     }
 
     /// Unit normals per slot.
     pub fn normals(&self) -> &[Vec3] {
-        &self.geometry.normals
+        &self.space.slots().normals
     }
 
     /// m² per slot; 0 in holes.
     pub fn areas(&self) -> &[f32] {
-        &self.geometry.areas
+        &self.space.slots().areas
     }
 
     /// Area-weighted mean over some slots; 0 where they have no area.
     pub fn area_mean(&self, slots: impl IntoIterator<Item = usize>, value: impl Fn(usize) -> f64) -> f64 {
         let (mut sum, mut total) = (0.0, 0.0);
         for slot in slots {
-            let area = f64::from(self.geometry.areas[slot]);
+            let area = f64::from(self.areas()[slot]);
             sum += area * value(slot);
             total += area;
         }
@@ -221,7 +230,7 @@ impl World {
 
     /// A fresh big tree over everything. Runs for a second in large scenes: do it in the background.
     pub fn rebuilt_trees(&self) -> Trees {
-        build::big_tree(&self.geometry, &self.placed, self.trees.generation)
+        build::big_tree(&self.placed, self.trees.generation)
     }
 
     /// This world with trees of [`World::rebuilt_trees`]; none where the geometry has changed since.
@@ -231,14 +240,16 @@ impl World {
 
     /// Bytes held by elements, triangles and trees; what is shared with other versions counts here too.
     pub fn memory_bytes(&self) -> usize {
-        let objects: usize = self.placed.iter().map(|p| p.surface.memory_bytes() + p.coarse.memory_bytes()).sum();
-        self.geometry.memory_bytes() + self.trees.memory_bytes() + objects
+        let of_object = |p: &Arc<Placed>| p.surface.memory_bytes() + p.layout.memory_bytes() + p.coarse.memory_bytes();
+        let objects: usize = self.placed.iter().map(of_object).sum();
+        let sight: usize = self.sight.values().map(|hidden| hidden.memory_bytes()).sum();
+        self.space.memory_bytes() + self.trees.memory_bytes() + self.validity.memory_bytes() + sight + objects
     }
 
     /// Slots whose value is computed, in spatial order within objects.
     pub(crate) fn computed_slots(&self) -> Vec<u32> {
         let live = self.placed.par_iter().flat_map(|p| p.placement.elements.clone().into_par_iter().with_min_len(4096));
-        let is_computed = |&i: &u32| self.geometry.areas[i as usize] > 0.0 && self.validity.is_valid(i as usize);
+        let is_computed = |&i: &u32| self.areas()[i as usize] > 0.0 && self.validity.is_valid(i as usize);
         let mut slots: Vec<u32> = live.filter(is_computed).collect();
         // Objects that came late may lie in the slots of those that went.
         slots.sort_unstable();
@@ -248,7 +259,7 @@ impl World {
     /// Where rays of an element start.
     #[inline]
     pub(crate) fn ray_origin(&self, slot: usize) -> (Vec3, Vec3) {
-        let n = self.geometry.normals[slot];
-        (self.geometry.positions[slot] + n * self.epsilon, n)
+        let n = self.normals()[slot];
+        (self.positions()[slot] + n * self.epsilon, n)
     }
 }

@@ -3,7 +3,7 @@
 
 use rayon::prelude::*;
 
-use super::{Emitter, Part, Placed, World};
+use super::{Emitter, Placed, World};
 use crate::bvh::Ray;
 use crate::random::{Pcg32, subseed};
 use crate::sampling::cosine_hemisphere;
@@ -55,7 +55,7 @@ fn back_hit(world: &World, slot: usize, sample: u64) -> Option<u32> {
     let mut rng = Pcg32::new(subseed(0xbac5, sample), slot as u64);
     let direction = cosine_hemisphere(n, rng.next_2d());
     let hit = world.trees.closest_hit(&Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY })?;
-    let part = &world.parts[world.geometry.triangles[hit.triangle as usize].part() as usize];
+    let part = world.space.part(hit.triangle);
     (part.double_sided && hit.normal.dot(direction) > 0.0).then_some(part.object)
 }
 
@@ -63,12 +63,9 @@ impl World {
     /// Marks the parts of closed objects that hold no light and do not enclose the rest of the scene.
     pub(super) fn mark_solids(&mut self) {
         let solid: Vec<bool> = self.placed.iter().map(|p| self.is_solid(p)).collect();
-        let mut parts: Vec<Part> = (*self.parts).clone();
-        for (placed, (object, solid)) in self.placed.iter().zip(self.scene.objects.iter().zip(solid)) {
-            let first = placed.parts_first as usize;
-            parts[first..first + object.materials.len()].iter_mut().for_each(|p| p.solid = solid);
+        for (placed, solid) in self.placed.iter().zip(solid) {
+            self.space.parts_of_mut(&placed.placement).iter_mut().for_each(|p| p.solid = solid);
         }
-        self.parts = std::sync::Arc::new(parts);
     }
 
     pub(super) fn is_solid(&self, placed: &Placed) -> bool {
@@ -82,10 +79,10 @@ impl World {
         let enclosed = if others == 0 {
             0
         } else {
-            let geometry = &self.geometry;
+            let (positions, areas) = (self.positions(), self.areas());
             (0..self.slots())
                 .step_by((self.slots() / 2048).max(1))
-                .filter(|&i| !own.contains(&(i as u32)) && geometry.areas[i] > 0.0 && inside(geometry.positions[i]))
+                .filter(|&i| !own.contains(&(i as u32)) && areas[i] > 0.0 && inside(positions[i]))
                 .count()
                 * (self.slots() / 2048).max(1)
         };
@@ -102,9 +99,8 @@ impl World {
 fn contains(placed: &Placed, point: glam::Vec3) -> bool {
     let direction = glam::DVec3::new(0.577_215_66, 0.691_2, 0.431_237_9);
     let origin = point.as_dvec3();
-    let surface = &placed.surface;
-    let crossings = surface.triangles.iter().filter(|t| {
-        let [a, b, c] = t.map(|i| surface.vertices[i as usize].as_dvec3() - origin);
+    let crossings = placed.surface.all_corners().filter(|corners| {
+        let [a, b, c] = corners.map(|corner| corner.as_dvec3() - origin);
         let (u, v, w) = (direction.dot(c.cross(b)), direction.dot(a.cross(c)), direction.dot(b.cross(a)));
         let same = (u >= 0.0 && v >= 0.0 && w >= 0.0) || (u <= 0.0 && v <= 0.0 && w <= 0.0);
         let n = (b - a).cross(c - a);
@@ -127,8 +123,9 @@ pub(super) fn back_seen(world: &World, index: usize) -> bool {
     let (mut seen, mut backs) = (0, 0);
     for _ in 0..PAIRS {
         let slot = pick(world.slots());
-        let target = surface.positions[pick(surface.positions.len())];
-        if world.geometry.areas[slot] <= 0.0 {
+        let target = placed.placement.elements.start as usize + pick(placed.layout.len());
+        let target = world.positions()[target];
+        if world.areas()[slot] <= 0.0 {
             continue;
         }
         let (origin, n) = world.ray_origin(slot);
@@ -138,7 +135,7 @@ pub(super) fn back_seen(world: &World, index: usize) -> bool {
         }
         let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
         let Some(hit) = world.trees.closest_hit(&ray) else { continue };
-        let part = &world.parts[world.geometry.triangles[hit.triangle as usize].part() as usize];
+        let part = world.space.part(hit.triangle);
         if part.object == placed.key {
             seen += 1;
             backs += u32::from(hit.normal.dot(direction) > 0.0);

@@ -42,14 +42,14 @@ impl World {
     fn is_same_object(&self, a: (&Arc<Placed>, usize), other: &World, b: (&Arc<Placed>, usize)) -> bool {
         let ((a, materials), (b, other_materials)) = (a, b);
         let parts = |world: &World, placed: &Placed, material: usize| {
-            let part = world.parts[placed.parts_first as usize + material];
-            (part.albedo, part.double_sided, part.solid, part.back_offset)
+            let part = &world.space.parts_of(&placed.placement)[material];
+            (part.albedo, part.double_sided, part.solid, part.has_back())
         };
         a.placement.elements == b.placement.elements
             && materials == other_materials
             && (0..materials).all(|m| parts(self, a, m) == parts(other, b, m))
             && (Arc::ptr_eq(&a.surface, &b.surface)
-                || are_close(&a.surface.vertices, &b.surface.vertices, self.epsilon)
+                || are_close(&a.surface.positions, &b.surface.positions, self.epsilon)
                     && are_close(&a.surface.normals, &b.surface.normals, SAME_NORMAL)
                     && a.surface.triangles == b.surface.triangles
                     && a.surface.triangle_materials == b.surface.triangle_materials)

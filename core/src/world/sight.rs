@@ -30,6 +30,11 @@ impl Hidden {
         Hidden { bits, entries }
     }
 
+    /// Bytes held.
+    pub(super) fn memory_bytes(&self) -> usize {
+        self.bits.capacity() * size_of::<u64>()
+    }
+
     /// Whether nothing is hidden.
     #[inline]
     pub(crate) fn is_empty(&self) -> bool {
@@ -46,7 +51,7 @@ impl Hidden {
     }
 }
 
-/// What was found for one object: nothing where nothing has changed; triangles with whether they are cut.
+/// What was found for one object: nothing where nothing has changed; ids of cells with whether they are cut.
 type Seen = (Option<Hidden>, Vec<(u32, bool)>);
 
 /// Boxes in which geometry has changed; `None` is everywhere.
@@ -71,7 +76,7 @@ impl World {
                 if touched.is_some_and(|boxes| !boxes.iter().any(|b| overlap(b, &grown(placed, world.spacing())))) {
                     return (None, Vec::new());
                 }
-                (Some(hidden_entries(world, placed, touched, old.map(|o| &**o))), cut_triangles(world, placed, touched))
+                (Some(hidden_entries(world, placed, touched, old.map(|o| &**o))), cut_cells(world, placed, touched))
             })
             .collect();
         let (mut sight, mut cuts) = (BTreeMap::new(), Vec::new());
@@ -81,11 +86,7 @@ impl World {
             cuts.extend(cut);
         }
         self.sight = sight;
-        cuts.retain(|&(t, cut)| self.geometry.triangles[t as usize].is_cut() != cut);
-        if !cuts.is_empty() {
-            let geometry = Arc::make_mut(&mut self.geometry);
-            cuts.iter().for_each(|&(t, cut)| geometry.triangles[t as usize].set_cut(cut));
-        }
+        self.space.set_cuts(cuts);
     }
 
     fn blocked(&self, from: Vec3, to: Vec3) -> bool {
@@ -110,7 +111,7 @@ fn is_touched(touched: Touched, a: Vec3, b: Vec3) -> bool {
 /// Entries between an element and a representative that do not see each other, just above the surface.
 fn hidden_entries(world: &World, placed: &Placed, touched: Touched, old: Option<&Hidden>) -> Hidden {
     let coarse = &placed.coarse;
-    let n = placed.surface.positions.len() as u32;
+    let n = placed.layout.len() as u32;
     let entries = coarse.entries.len();
     let lift = world.lift();
     let sides = if placed.with_back { 2 } else { 1 };
@@ -122,7 +123,7 @@ fn hidden_entries(world: &World, placed: &Placed, touched: Touched, old: Option<
             let first = placed.placement.elements.start + if back { n } else { 0 };
             let above = move |element: u32| {
                 let slot = (first + element) as usize;
-                world.geometry.positions[slot] + world.geometry.normals[slot] * lift
+                world.positions()[slot] + world.normals()[slot] * lift
             };
             let range = coarse.offsets[element as usize] as usize..coarse.offsets[element as usize + 1] as usize;
             range.filter_map(move |e| {
@@ -138,33 +139,26 @@ fn hidden_entries(world: &World, placed: &Placed, touched: Touched, old: Option<
     Hidden::new(entries, &hidden)
 }
 
-/// Triangle slots whose valid corners were asked whether they see each other, and whether some do not.
-fn cut_triangles(world: &World, placed: &Placed, touched: Touched) -> Vec<(u32, bool)> {
-    let geometry = &world.geometry;
+/// Cells whose valid corners were asked whether they see each other, and whether some do not.
+fn cut_cells(world: &World, placed: &Placed, touched: Touched) -> Vec<(u32, bool)> {
+    let (positions, normals) = (world.positions(), world.normals());
     let lift = world.lift();
-    let n = placed.surface.positions.len() as u32;
-    let cut_on = |corners: [u32; 3]| {
-        let valid = corners.map(|c| world.validity.is_valid(c as usize));
-        let above = corners.map(|c| geometry.positions[c as usize] + geometry.normals[c as usize] * lift);
+    let n = placed.layout.len() as u32;
+    let cut_on = |slots: [u32; 3]| {
+        let valid = slots.map(|slot| world.validity.is_valid(slot as usize));
+        let above = slots.map(|slot| positions[slot as usize] + normals[slot as usize] * lift);
         (0..3).any(|k| {
             let l = (k + 1) % 3;
             valid[k] && valid[l] && world.blocked(above[k], above[l])
         })
     };
-    placed
-        .placement
-        .triangles
-        .clone()
-        .into_par_iter()
-        .with_min_len(256)
-        .filter_map(|t| {
-            let corners = geometry.triangles[t as usize].elements;
-            let [a, b, c] = corners.map(|c| geometry.positions[c as usize]);
-            if !(is_touched(touched, a, b) || is_touched(touched, b, c) || is_touched(touched, c, a)) {
-                return None;
-            }
-            let cut = cut_on(corners) || placed.with_back && cut_on(corners.map(|c| c + n));
-            Some((t, cut))
-        })
-        .collect()
+    placed.layout.of_cells(&placed.surface, |patch| {
+        let slots = patch.elements.map(|element| placed.placement.elements.start + element);
+        let [a, b, c] = slots.map(|slot| positions[slot as usize]);
+        if !(is_touched(touched, a, b) || is_touched(touched, b, c) || is_touched(touched, c, a)) {
+            return None;
+        }
+        let cut = cut_on(slots) || placed.with_back && cut_on(slots.map(|slot| slot + n));
+        Some((placed.placement.cells.start + patch.cell, cut))
+    })
 }

@@ -10,6 +10,7 @@ use super::{Placed, Trees, World, build};
 use crate::bvh::Bvh;
 use crate::layers::Layer;
 use crate::lightmap::LightMap;
+use crate::space::{NO_OBJECT, Part};
 
 /// Slots per task.
 const CHUNK: usize = 4096;
@@ -68,14 +69,14 @@ impl Transition {
 
     /// Whether every slot holds the same element in both worlds.
     pub(crate) fn keeps_slots(&self) -> bool {
-        Arc::ptr_eq(&self.before.geometry, &self.after.geometry)
+        self.before.space.has_slots_of(&self.after.space)
     }
 
     /// Whether a slot of the new world holds the same element in both.
     #[inline]
     pub(crate) fn keeps(&self, slot: usize) -> bool {
-        let (old, new) = (&self.before.geometry.owners, &self.after.geometry.owners);
-        new[slot] != super::NO_OBJECT && old.get(slot) == Some(&new[slot])
+        let (old, new) = (&self.before.space.slots().owners, &self.after.space.slots().owners);
+        new[slot] != NO_OBJECT && old.get(slot) == Some(&new[slot])
     }
 
     /// Values in the slots of the new world.
@@ -94,7 +95,7 @@ impl Transition {
 
     /// Corners of everything that came or went.
     pub(crate) fn changed_triangles(&self) -> Vec<[Vec3; 3]> {
-        self.changed_objects().into_iter().flat_map(|p| build::corners_of(p).0).collect()
+        build::corners_of(self.changed_objects()).0
     }
 
     /// Boxes around every object that came or went, where it was and where it is.
@@ -118,9 +119,12 @@ impl Transition {
 
     /// Change of albedo per part of the new world.
     pub(crate) fn repaint(&self) -> Vec<Vec3> {
-        let before = &self.before.parts;
-        let change = |(i, part): (usize, &super::Part)| before.get(i).map_or(Vec3::ZERO, |b| part.albedo - b.albedo);
-        self.after.parts.iter().enumerate().map(change).collect()
+        let before = self.before.space.parts();
+        let change = |(i, part): (usize, &Part)| {
+            let old = before.get(i).filter(|old| old.object == part.object);
+            old.map_or(Vec3::ZERO, |old| part.albedo - old.albedo)
+        };
+        self.after.space.parts().iter().enumerate().map(change).collect()
     }
 
     /// Whether an albedo changed.

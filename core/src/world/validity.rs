@@ -52,7 +52,7 @@ impl Validity {
     pub(super) fn updated(old: &Validity, world: &World, ranges: &[Range<u32>], bounds: &[(Vec3, Vec3)]) -> Validity {
         let is_new = |slot: &u32| ranges.iter().any(|range| range.contains(slot));
         let is_affected = |slot: u32| {
-            let p = world.geometry.positions[slot as usize];
+            let p = world.positions()[slot as usize];
             is_new(&slot) || bounds.iter().any(|(low, high)| p.cmpge(*low).all() && p.cmple(*high).all())
         };
         let inside = |placed: &Placed| -> Vec<u32> {
@@ -100,6 +100,14 @@ impl Validity {
         validity.by_target = (0..validity.fills.len() as u32).collect();
         validity.by_target.sort_unstable_by_key(|&f| validity.fills[f as usize].target);
         validity
+    }
+
+    /// Bytes held.
+    pub(super) fn memory_bytes(&self) -> usize {
+        let sources: usize = self.fills.iter().map(|fill| fill.sources.capacity()).sum();
+        (self.invalid.capacity() + self.by_target.capacity() + sources) * size_of::<u32>()
+            + self.bits.capacity() * size_of::<u64>()
+            + self.fills.capacity() * size_of::<Fill>()
     }
 
     /// The invalid ones among some slots, ascending.
@@ -157,7 +165,7 @@ impl World {
 
 /// Whether most rays of an element meet a back that no light comes from.
 fn is_inside(world: &World, slot: u32) -> bool {
-    if world.geometry.areas[slot as usize] <= 0.0 {
+    if world.areas()[slot as usize] <= 0.0 {
         return false;
     }
     let (origin, n) = world.ray_origin(slot as usize);
@@ -170,7 +178,7 @@ fn is_inside(world: &World, slot: u32) -> bool {
         let direction = cosine_hemisphere(n, rng.next_2d());
         let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
         if let Some(hit) = world.trees.closest_hit(&ray) {
-            let part = &world.parts[world.geometry.triangles[hit.triangle as usize].part() as usize];
+            let part = world.space.part(hit.triangle);
             let back = hit.normal.dot(direction) > 0.0;
             backs += u32::from(back && (part.solid || !part.double_sided));
         }
@@ -178,32 +186,22 @@ fn is_inside(world: &World, slot: u32) -> bool {
     2 * backs > ALL_RAYS
 }
 
-/// Ring by ring from the valid elements of one object, along its triangles.
+/// Ring by ring from the valid elements of one object, along its surface.
 fn fill_object(placed: &Placed, validity: &Validity) -> Vec<Fill> {
-    let n = placed.surface.positions.len() as u32;
+    let n = placed.layout.len() as u32;
     let first = placed.placement.elements.start;
     let sides = if placed.with_back { 2 } else { 1 };
     let mut fills = Vec::new();
     for side in 0..sides {
-        let slot = |i: u32| first + side * n + i;
-        let mut neighbours: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
-        for t in &placed.surface.triangles {
-            for k in 0..3 {
-                let me = slot(t[k]);
-                if !validity.is_valid(me as usize) {
-                    neighbours.entry(me).or_default().extend([slot(t[(k + 1) % 3]), slot(t[(k + 2) % 3])]);
-                }
-            }
-        }
-        let mut open: BTreeSet<u32> = neighbours.keys().copied().collect();
+        let first = first + side * n;
+        let neighbours = |slot: u32| placed.layout.neighbours_of(slot - first).iter().map(move |other| first + other);
+        let mut open: BTreeSet<u32> = validity.invalid_of(&(first..first + n)).iter().copied().collect();
         loop {
             let ring: Vec<Fill> = open
                 .iter()
                 .filter_map(|&target| {
                     let known = |s: &u32| !open.contains(s);
-                    let mut sources: Vec<u32> = neighbours[&target].iter().copied().filter(known).collect();
-                    sources.sort_unstable();
-                    sources.dedup();
+                    let sources: Vec<u32> = neighbours(target).filter(known).collect();
                     (!sources.is_empty()).then_some(Fill { target, sources })
                 })
                 .collect();

@@ -2,7 +2,8 @@
 
 use glam::{DVec3, Vec3};
 
-use super::weld::{MIN_COSINE, Welded, geometric_normal};
+use super::layout::Elements;
+use crate::surface::{MIN_COSINE, geometric_normal, triangle_area};
 
 /// How far from a vertex at a border its sample point lies, as a part of the way to the centroid of the triangle.
 /// Its distance to the triangle's edges there is this part of a third of the triangle's heights.
@@ -15,49 +16,44 @@ const MAX_GAP: f32 = 0.15;
 /// Cosines closer than this count as equal when a triangle is chosen for a sample point.
 const COSINE_TIE: f32 = 1e-4;
 
-/// What [`super::Surface`] holds per element beside the vertex.
-#[derive(Debug)]
-pub(super) struct Elements {
-    pub(super) positions: Vec<Vec3>,
-    pub(super) normals: Vec<Vec3>,
-    pub(super) areas: Vec<f32>,
-}
-
-/// Computes all elements of a subdivided mesh.
-pub(super) fn elements(mesh: &Welded) -> Elements {
-    let fans = Fans::new(mesh);
+/// Computes all elements of a subdivided surface: of its vertices, from the triangles that have an area.
+pub(super) fn sample_points(positions: &[Vec3], normals: &[Vec3], triangles: &[[u32; 3]]) -> Elements {
+    let mesh = Mesh { positions, normals, triangles };
+    let fans = Fans::new(&mesh);
     let front = |triangle: &[u32; 3]| {
-        let [a, b, c] = triangle.map(|corner| mesh.positions[corner as usize]);
+        let [a, b, c] = triangle.map(|corner| positions[corner as usize]);
         geometric_normal(a, b, c).unwrap_or_default()
     };
-    let fronts: Vec<Vec3> = mesh.triangles.iter().map(front).collect();
-    let count = mesh.positions.len();
+    let fronts: Vec<Vec3> = triangles.iter().map(front).collect();
+    let count = positions.len();
     let mut result =
-        Elements { positions: Vec::with_capacity(count), normals: Vec::with_capacity(count), areas: areas(mesh) };
+        Elements { positions: Vec::with_capacity(count), normals: Vec::with_capacity(count), areas: areas(&mesh) };
     for vertex in 0..count {
-        let (position, normal) = sample_point(mesh, &fronts, vertex, fans.of(vertex));
+        let (position, normal) = sample_point(&mesh, &fronts, vertex, fans.of(vertex));
         result.positions.push(position);
         result.normals.push(normal);
     }
     result
 }
 
-/// A third of the area of the triangles at each vertex, m².
-fn areas(mesh: &Welded) -> Vec<f32> {
+/// A subdivided surface.
+struct Mesh<'m> {
+    positions: &'m [Vec3],
+    normals: &'m [Vec3],
+    triangles: &'m [[u32; 3]],
+}
+
+/// A third of the area of the triangles at each vertex, m². Vertices between cells that rounding has flattened have next
+/// to none, but are no holes.
+fn areas(mesh: &Mesh) -> Vec<f32> {
     let mut areas = vec![0.0_f64; mesh.positions.len()];
-    for triangle in &mesh.triangles {
+    for triangle in mesh.triangles {
         let third = triangle_area(triangle.map(|corner| mesh.positions[corner as usize])) / 3.0;
         for &corner in triangle {
             areas[corner as usize] += third;
         }
     }
-    areas.into_iter().map(|area| area as f32).collect()
-}
-
-/// Area in m².
-pub(super) fn triangle_area([a, b, c]: [Vec3; 3]) -> f64 {
-    let (a, b, c) = (a.as_dvec3(), b.as_dvec3(), c.as_dvec3());
-    (b - a).cross(c - a).length() * 0.5
+    areas.into_iter().map(|area| (area as f32).max(f32::MIN_POSITIVE)).collect()
 }
 
 /// The triangles at each vertex, in one flat list.
@@ -69,7 +65,7 @@ struct Fans {
 }
 
 impl Fans {
-    fn new(mesh: &Welded) -> Self {
+    fn new(mesh: &Mesh) -> Self {
         let mut starts = vec![0_u32; mesh.positions.len() + 1];
         for &corner in mesh.triangles.iter().flatten() {
             starts[corner as usize + 1] += 1;
@@ -96,7 +92,7 @@ impl Fans {
 
 /// Where an element is evaluated, and with which normal: the vertex itself within a surface, otherwise a point in
 /// one of its triangles, so that rays do not start on the edge to another surface.
-fn sample_point(mesh: &Welded, fronts: &[Vec3], vertex: usize, fan: &[(u32, u8)]) -> (Vec3, Vec3) {
+fn sample_point(mesh: &Mesh, fronts: &[Vec3], vertex: usize, fan: &[(u32, u8)]) -> (Vec3, Vec3) {
     let (position, normal) = (mesh.positions[vertex], mesh.normals[vertex]);
     let (mut turn, mut chords, mut best) = (Vec3::ZERO, 0.0_f32, f32::NEG_INFINITY);
     for &corner in fan {
@@ -127,7 +123,7 @@ fn sample_point(mesh: &Welded, fronts: &[Vec3], vertex: usize, fan: &[(u32, u8)]
 
 /// The triangle whose plane agrees best with the normal; of several, the one that lies most in the middle.
 fn flattest<'f>(
-    mesh: &Welded,
+    mesh: &Mesh,
     fronts: &[Vec3],
     vertex: usize,
     fan: &'f [(u32, u8)],
@@ -141,13 +137,13 @@ fn flattest<'f>(
 }
 
 /// The other two corners of a triangle, counter-clockwise.
-fn neighbours(mesh: &Welded, (triangle, which): (u32, u8)) -> [Vec3; 2] {
+fn neighbours(mesh: &Mesh, (triangle, which): (u32, u8)) -> [Vec3; 2] {
     let corners = mesh.triangles[triangle as usize];
     [1, 2].map(|step| mesh.positions[corners[(which as usize + step) % 3] as usize])
 }
 
 /// From a corner of a triangle to its centroid, metres.
-fn inward(mesh: &Welded, position: Vec3, corner: (u32, u8)) -> DVec3 {
+fn inward(mesh: &Mesh, position: Vec3, corner: (u32, u8)) -> DVec3 {
     let [from, to] = neighbours(mesh, corner).map(|other| other.as_dvec3() - position.as_dvec3());
     (from + to) / 3.0
 }

@@ -1,44 +1,18 @@
-//! Spatial order: elements and triangles along a Hilbert curve, so that rays traced one after the other meet the
-//! same part of the tree.
+//! Spatial order: points along a Hilbert curve, so that what is computed one after the other lies side by side and rays meet
+//! the same part of the tree.
 
 use glam::Vec3;
-
-use super::weld::Welded;
 
 /// Bits per axis.
 const BITS: u32 = 12;
 
-/// Sorts vertices and triangles along the curve; drops triangles without an area and vertices without a triangle.
-pub(super) fn sort(mesh: &Welded) -> Welded {
-    let grid = Grid::new(&mesh.positions);
-    let corners = |triangle: &[u32; 3]| triangle.map(|corner| mesh.positions[corner as usize]);
-    let mut is_used = vec![false; mesh.positions.len()];
-    let mut triangle_keys = Vec::with_capacity(mesh.triangles.len());
-    for (index, triangle) in mesh.triangles.iter().enumerate() {
-        let [a, b, c] = corners(triangle);
-        // Rounding to f32 may flatten the smallest pieces.
-        if super::elements::triangle_area([a, b, c]) > 0.0 {
-            triangle_keys.push((grid.key(a / 3.0 + b / 3.0 + c / 3.0), index as u32));
-            triangle.iter().for_each(|&corner| is_used[corner as usize] = true);
-        }
-    }
-    let used = (0..mesh.positions.len() as u32).filter(|&vertex| is_used[vertex as usize]);
-    let mut vertex_keys: Vec<(u64, u32)> = used.map(|v| (grid.key(mesh.positions[v as usize]), v)).collect();
-    // Ties go by the old index: the order is the same in every run.
-    triangle_keys.sort_unstable();
-    vertex_keys.sort_unstable();
-    let mut new_index = vec![u32::MAX; mesh.positions.len()];
-    for (new, &(_, old)) in vertex_keys.iter().enumerate() {
-        new_index[old as usize] = new as u32;
-    }
-    let vertices = || vertex_keys.iter().map(|&(_, old)| old as usize);
-    let triangles = || triangle_keys.iter().map(|&(_, old)| old as usize);
-    Welded {
-        positions: vertices().map(|old| mesh.positions[old]).collect(),
-        normals: vertices().map(|old| mesh.normals[old]).collect(),
-        triangles: triangles().map(|old| mesh.triangles[old].map(|corner| new_index[corner as usize])).collect(),
-        materials: triangles().map(|old| mesh.materials[old]).collect(),
-    }
+/// Indices of points in their order along the curve through a cube around all of them; ties go by the index, so that the
+/// order is the same in every run.
+pub(crate) fn along_curve(points: &[Vec3]) -> Vec<u32> {
+    let grid = Grid::new(points);
+    let mut keys: Vec<(u64, u32)> = points.iter().map(|p| grid.key(*p)).zip(0..).collect();
+    keys.sort_unstable();
+    keys.into_iter().map(|(_, index)| index).collect()
 }
 
 /// A cube around all points, cut into 2¹² cells per axis.

@@ -1,0 +1,104 @@
+//! What a look-up reads.
+
+/// The slots that hold the light of a point, and their weights, which sum to 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Footprint {
+    slots: [u32; 4],
+    weights: [f32; 4],
+    /// How many of them count.
+    len: u32,
+}
+
+/// A side of a surface, at a point, as trees and lights know it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Spot {
+    /// Id of the cell.
+    pub cell: u32,
+    /// Element slots there; none where the side has no elements.
+    pub footprint: Option<Footprint>,
+}
+
+impl Footprint {
+    /// Of the corners of a triangle.
+    #[inline]
+    pub(crate) fn of_triangle([a, b, c]: [u32; 3], [u, v, w]: [f32; 3]) -> Footprint {
+        Footprint { slots: [a, b, c, a], weights: [u, v, w, 0.0], len: 3 }
+    }
+
+    /// The slots.
+    #[inline]
+    pub(crate) fn slots(&self) -> &[u32] {
+        &self.slots[..self.len as usize]
+    }
+
+    /// The weighted mean of some values, one per slot.
+    #[inline]
+    pub(crate) fn interpolate<V>(&self, values: &[V]) -> V
+    where
+        V: Copy + std::ops::Add<Output = V> + std::ops::Mul<f32, Output = V>,
+    {
+        let value = |k: usize| values[self.slots[k] as usize] * self.weights[k];
+        let three = value(0) + value(1) + value(2);
+        if self.len > 3 { three + value(3) } else { three }
+    }
+
+    /// The slot that weighs most.
+    #[inline]
+    pub(crate) fn heaviest(&self) -> u32 {
+        let mut best = 0;
+        for k in 1..self.len as usize {
+            if self.weights[k] > self.weights[best] {
+                best = k;
+            }
+        }
+        self.slots[best]
+    }
+
+    /// Which of the slots a uniform number draws by weight.
+    #[inline]
+    pub(crate) fn drawn(&self, u: f32) -> usize {
+        let (mut k, mut sum) = (0, self.weights[0]);
+        while u >= sum && k + 1 < self.len as usize {
+            k += 1;
+            sum += self.weights[k];
+        }
+        k
+    }
+
+    /// What is left of it where some slots do not count; none where next to nothing is.
+    pub(crate) fn without(mut self, mut is_out: impl FnMut(u32) -> bool) -> Option<Footprint> {
+        const LEAST: f32 = 1e-3;
+        let mut sum = 0.0;
+        for k in 0..self.len as usize {
+            if is_out(self.slots[k]) {
+                self.weights[k] = 0.0;
+            }
+            sum += self.weights[k];
+        }
+        self.weights.iter_mut().for_each(|w| *w /= sum);
+        (sum > LEAST).then_some(self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+
+    #[test]
+    fn look_ups_are_weighted_means() {
+        let footprint = Footprint::of_triangle([2, 0, 1], [0.5, 0.25, 0.25]);
+        assert_eq!(footprint.interpolate(&[Vec3::X * 4.0, Vec3::Y * 4.0, Vec3::Z * 2.0]), Vec3::ONE);
+        assert_eq!(footprint.heaviest(), 2);
+        assert_eq!([0.0, 0.49, 0.5, 0.74, 0.75, 0.999].map(|u| footprint.drawn(u)), [0, 0, 1, 1, 2, 2]);
+    }
+
+    #[test]
+    fn what_does_not_count_leaves_its_weight_to_the_rest() {
+        let footprint = Footprint::of_triangle([2, 0, 1], [0.5, 0.25, 0.25]);
+        let rest = footprint.without(|slot| slot == 2).expect("half of it is left");
+        assert_eq!((rest.weights, rest.len), ([0.0, 0.5, 0.5, 0.0], 3));
+        assert_eq!(footprint.without(|_| true), None);
+    }
+}

@@ -1,0 +1,115 @@
+//! The elements of one object's surface.
+
+use glam::{DMat4, Vec3};
+
+use super::cells::{Cells, NONE, Patch};
+use super::elements::sample_points;
+use super::neighbours::Neighbours;
+use super::subdivide::{Subdivided, subdivide};
+use crate::order::along_curve;
+use crate::surface::{Surface, SurfaceError, moved_normals, moved_points, triangle_area};
+
+/// How the elements of one side of a surface are laid out. The same wherever the surface is moved.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Layout {
+    pub(super) cells: Cells,
+    neighbours: Neighbours,
+}
+
+/// What elements are, before they have slots.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Elements {
+    /// Where they are evaluated, scene space: a corner of cells, or a little inside of it at borders and hard edges.
+    pub positions: Vec<Vec3>,
+    /// Unit.
+    pub normals: Vec<Vec3>,
+    /// A third of the area of the cells at each, m²; always above zero. They sum to the area of the surface.
+    pub areas: Vec<f32>,
+}
+
+impl Elements {
+    /// These elements after a rigid motion in scene space.
+    pub(crate) fn transformed(&self, motion: &DMat4) -> Elements {
+        Elements {
+            positions: moved_points(motion, &self.positions),
+            normals: moved_normals(motion, &self.normals),
+            areas: self.areas.clone(),
+        }
+    }
+}
+
+impl Layout {
+    /// Divides the triangles of a surface until neighbouring elements are about `spacing` metres apart, at most 1.12 times
+    /// as much. Deterministic, and edges that two objects share get the same elements in both.
+    ///
+    /// # Errors
+    /// [`SurfaceError`]: a spacing that is not usable, or more than `max_elements` elements.
+    pub(crate) fn new(
+        surface: &Surface,
+        spacing: f32,
+        max_elements: usize,
+    ) -> Result<(Layout, Elements), SurfaceError> {
+        if !(spacing.is_finite() && spacing > 0.0) {
+            return Err(SurfaceError::Spacing(spacing));
+        }
+        // Elements are numbered with 32 bits.
+        let limit = max_elements.min(u32::MAX as usize);
+        if surface.positions.len() > limit {
+            return Err(SurfaceError::TooManyElements { limit });
+        }
+        let Subdivided { positions, normals, mut cells } = subdivide(surface, spacing, limit)?;
+        let order = along_curve(&positions);
+        let mut number = vec![NONE; positions.len()];
+        order.iter().zip(0..).for_each(|(&old, new)| number[old as usize] = new);
+        cells.renumber(&number);
+        let sorted = |values: &[Vec3]| -> Vec<Vec3> { order.iter().map(|&old| values[old as usize]).collect() };
+        let (corners, normals) = (sorted(&positions), sorted(&normals));
+        // Rounding to f32 may flatten the smallest cells.
+        let has_area = |elements: &[u32; 3]| triangle_area(elements.map(|e| corners[e as usize])) > 0.0;
+        let of_cells = cells.collect(surface, |patch| Some(patch.elements));
+        let neighbours = Neighbours::new(corners.len(), &of_cells);
+        let triangles: Vec<[u32; 3]> = of_cells.into_iter().filter(has_area).collect();
+        let elements = sample_points(&corners, &normals, &triangles);
+        Ok((Layout { cells, neighbours }, elements))
+    }
+
+    /// Ids of cells are below this.
+    pub(super) fn ids(&self) -> u32 {
+        self.cells.ids()
+    }
+
+    /// What `f` makes of every cell of a surface that is laid out so, in an order that depends on nothing but the layout.
+    pub(crate) fn of_cells<T: Send>(&self, surface: &Surface, f: impl Fn(&Patch) -> Option<T> + Sync) -> Vec<T> {
+        self.cells.collect(surface, f)
+    }
+
+    /// Where the cells of a surface that is laid out so have their corners, per element; scene space.
+    pub(crate) fn corners(&self, surface: &Surface) -> Vec<Vec3> {
+        let mut corners = vec![Vec3::ZERO; self.len()];
+        for (elements, at) in self.of_cells(surface, |patch| Some((patch.elements, patch.corners))) {
+            elements.into_iter().zip(at).for_each(|(element, corner)| corners[element as usize] = corner);
+        }
+        corners
+    }
+
+    /// Elements of one side.
+    pub(crate) fn len(&self) -> usize {
+        self.neighbours.len()
+    }
+
+    /// Elements beside one along the surface, each once, ascending.
+    #[inline]
+    pub(crate) fn neighbours_of(&self, element: u32) -> &[u32] {
+        self.neighbours.of(element)
+    }
+
+    /// Cells of one side.
+    pub(crate) fn cell_count(&self) -> usize {
+        self.cells.count as usize
+    }
+
+    /// Bytes held.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        self.cells.memory_bytes() + self.neighbours.memory_bytes()
+    }
+}

@@ -1,0 +1,242 @@
+//! Where light lives: elements, beside the triangles that rays meet.
+//!
+//! Every object owns ranges of slots: one entry of a light map per element, of its front and then of its back where light
+//! is seen there, too. [`Space`] answers for a hit which slots hold the light there, with what weights, and how much is
+//! reflected. Nothing outside of this module knows how elements are laid out: a layout answers [`layout::Layout`]'s questions.
+
+mod cells;
+mod elements;
+mod footprint;
+mod holes;
+mod layout;
+mod neighbours;
+mod part;
+mod slots;
+mod subdivide;
+#[cfg(test)]
+mod tests;
+
+pub(crate) use cells::Patch;
+pub(crate) use footprint::{Footprint, Spot};
+pub(crate) use layout::{Elements, Layout};
+pub(crate) use part::Part;
+pub use slots::NO_OBJECT;
+pub(crate) use slots::{Placement, Slots};
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use glam::Vec3;
+
+use self::holes::Holes;
+use crate::bvh::Hit;
+use crate::surface::Surface;
+
+/// All elements of a world and the way from triangles to them. Cheap to clone: an edit copies what it changes.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Space {
+    slots: Arc<Slots>,
+    faces: Arc<Faces>,
+    parts: Arc<Parts>,
+    /// Cells that a wall stands on, a bit per id; empty where there is none.
+    cuts: Arc<Vec<u64>>,
+}
+
+/// Per triangle slot: index of its part.
+#[derive(Clone, Debug, Default)]
+struct Faces {
+    parts: Vec<u32>,
+    free: Holes,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Parts {
+    list: Vec<Part>,
+    free: Holes,
+    /// Ids of cells that are in use, or were, and those among them that are free.
+    cells: usize,
+    free_cells: Holes,
+}
+
+impl Space {
+    /// Gives an object slots for its elements and triangles, ids for its cells, and a part per material.
+    pub(crate) fn place(
+        &mut self,
+        (surface, layout, elements): (&Surface, &Arc<Layout>, &Elements),
+        materials: impl ExactSizeIterator<Item = (Vec3, bool)>,
+        key: u32,
+        with_back: bool,
+    ) -> Placement {
+        let elements = Arc::make_mut(&mut self.slots).place(elements, key, with_back);
+        let parts = Arc::make_mut(&mut self.parts);
+        let cells = parts.take_cells(layout.ids());
+        let faces = Arc::make_mut(&mut self.faces);
+        let first_face = faces.take(surface.triangles.len());
+        let part = |(albedo, double_sided)| Part {
+            albedo,
+            object: key,
+            double_sided,
+            solid: false,
+            first_slot: elements.start,
+            back_offset: if with_back { layout.len() as u32 } else { 0 },
+            first_face,
+            first_cell: cells.start,
+            layout: Arc::clone(layout),
+        };
+        let of_object = parts.place(materials.map(part));
+        let range = first_face..first_face + surface.triangles.len() as u32;
+        for (face, material) in faces.parts[range.start as usize..].iter_mut().zip(&surface.triangle_materials) {
+            *face = of_object.start + material;
+        }
+        Placement { elements, faces: range, cells, parts: of_object }
+    }
+
+    /// Frees what an object has.
+    pub(crate) fn clear(&mut self, placement: &Placement) {
+        Arc::make_mut(&mut self.slots).clear(placement.element_indices());
+        let range = |range: &Range<u32>| range.start as usize..range.end as usize;
+        let faces = Arc::make_mut(&mut self.faces);
+        faces.parts[range(&placement.faces)].fill(NO_PART);
+        faces.free.give(range(&placement.faces));
+        let parts = Arc::make_mut(&mut self.parts);
+        parts.list[range(&placement.parts)].fill(Part::free());
+        parts.free.give(range(&placement.parts));
+        parts.free_cells.give(range(&placement.cells));
+        self.set_cuts(placement.cells.clone().map(|cell| (cell, false)));
+    }
+
+    /// Writes other elements into the slots of an object.
+    pub(crate) fn write(&mut self, placement: &Placement, elements: &Elements, with_back: bool) {
+        Arc::make_mut(&mut self.slots).write(elements, placement.elements.start as usize, with_back);
+    }
+
+    /// The elements of an object's front.
+    pub(crate) fn elements_of(&self, placement: &Placement, layout: &Layout) -> Elements {
+        self.slots.read(placement.elements.start as usize, layout.len())
+    }
+
+    /// Flat arrays over all slots.
+    #[inline]
+    pub(crate) fn slots(&self) -> &Slots {
+        &self.slots
+    }
+
+    /// Parts of all objects; those that are free belong to none.
+    #[inline]
+    pub(crate) fn parts(&self) -> &[Part] {
+        &self.parts.list
+    }
+
+    /// The parts of an object, one per material.
+    pub(crate) fn parts_of(&self, placement: &Placement) -> &[Part] {
+        &self.parts.list[placement.parts.start as usize..placement.parts.end as usize]
+    }
+
+    /// The parts of an object, to be changed.
+    pub(crate) fn parts_of_mut(&mut self, placement: &Placement) -> &mut [Part] {
+        &mut Arc::make_mut(&mut self.parts).list[placement.parts.start as usize..placement.parts.end as usize]
+    }
+
+    /// Index of the part of a triangle that a ray met.
+    #[inline]
+    pub(crate) fn part_index(&self, triangle: u32) -> u32 {
+        self.faces.parts[triangle as usize]
+    }
+
+    /// The part of a triangle that a ray met.
+    #[inline]
+    pub(crate) fn part(&self, triangle: u32) -> &Part {
+        &self.parts.list[self.part_index(triangle) as usize]
+    }
+
+    /// Where a ray met one side of a triangle, which is of `part`.
+    #[inline]
+    pub(crate) fn spot(&self, hit: &Hit, part: &Part, back: bool) -> Spot {
+        let place = part.layout.cells.locate(hit.triangle - part.first_face, [1.0 - hit.u - hit.v, hit.u, hit.v]);
+        let first = match (back, part.back_offset) {
+            (false, _) => Some(part.first_slot),
+            (true, 0) => None,
+            (true, offset) => Some(part.first_slot + offset),
+        };
+        let footprint = first.map(|first| Footprint::of_triangle(place.elements.map(|e| e + first), place.weights));
+        Spot { cell: part.first_cell + place.cell, footprint }
+    }
+
+    /// Ids of cells are below this.
+    pub(crate) fn cells(&self) -> usize {
+        self.parts.cells
+    }
+
+    /// Whether a wall stands on a cell: light must not be interpolated across it.
+    #[inline]
+    pub(crate) fn is_cut(&self, cell: u32) -> bool {
+        self.cuts.get(cell as usize / 64).is_some_and(|bits| bits >> (cell % 64) & 1 == 1)
+    }
+
+    /// Says of some cells whether a wall stands on them.
+    pub(crate) fn set_cuts(&mut self, cells: impl IntoIterator<Item = (u32, bool)>) {
+        let changes: Vec<(u32, bool)> = cells.into_iter().filter(|&(cell, cut)| self.is_cut(cell) != cut).collect();
+        if changes.is_empty() {
+            return;
+        }
+        let bits = Arc::make_mut(&mut self.cuts);
+        for (cell, cut) in changes {
+            let (word, bit) = (cell as usize / 64, 1 << (cell % 64));
+            if word >= bits.len() {
+                bits.resize(word + 1, 0);
+            }
+            bits[word] = if cut { bits[word] | bit } else { bits[word] & !bit };
+        }
+    }
+
+    /// Whether every slot holds the same element as in another space.
+    pub(crate) fn has_slots_of(&self, other: &Space) -> bool {
+        Arc::ptr_eq(&self.slots, &other.slots)
+    }
+
+    /// Takes the elements, triangles and cells of another space, and leaves the parts as they are: for edits that
+    /// change geometry and change it back.
+    pub(crate) fn take_geometry(&mut self, other: &Space) {
+        (self.slots, self.faces, self.cuts) =
+            (Arc::clone(&other.slots), Arc::clone(&other.faces), Arc::clone(&other.cuts));
+    }
+
+    /// Bytes held, without layouts.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        self.slots.memory_bytes()
+            + self.faces.parts.capacity() * size_of::<u32>()
+            + self.parts.list.capacity() * size_of::<Part>()
+            + self.cuts.capacity() * size_of::<u64>()
+    }
+}
+
+/// Marks a triangle slot without a triangle.
+const NO_PART: u32 = u32::MAX;
+
+impl Faces {
+    fn take(&mut self, count: usize) -> u32 {
+        let first = self.free.take(count, self.parts.len());
+        if first + count > self.parts.len() {
+            self.parts.resize(first + count, NO_PART);
+        }
+        first as u32
+    }
+}
+
+impl Parts {
+    fn place(&mut self, parts: impl ExactSizeIterator<Item = Part>) -> Range<u32> {
+        let count = parts.len();
+        let first = self.free.take(count, self.list.len());
+        if first + count > self.list.len() {
+            self.list.resize(first + count, Part::free());
+        }
+        self.list[first..first + count].iter_mut().zip(parts).for_each(|(to, part)| *to = part);
+        first as u32..(first + count) as u32
+    }
+
+    fn take_cells(&mut self, count: u32) -> Range<u32> {
+        let first = self.free_cells.take(count as usize, self.cells);
+        self.cells = self.cells.max(first + count as usize);
+        first as u32..first as u32 + count
+    }
+}

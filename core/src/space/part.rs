@@ -1,0 +1,63 @@
+//! What triangles of one object and material have in common.
+
+use std::sync::Arc;
+
+use glam::Vec3;
+
+use super::layout::Layout;
+use super::slots::NO_OBJECT;
+
+/// The triangles of one object that share a material.
+#[derive(Clone, Debug)]
+pub(crate) struct Part {
+    /// Diffuse albedo.
+    pub albedo: Vec3,
+    /// Key of the object; [`super::NO_OBJECT`] where the part is free.
+    pub object: u32,
+    /// Both sides reflect.
+    pub double_sided: bool,
+    /// The object bounds a volume that light does not enter: a ray that meets its back starts inside it.
+    pub solid: bool,
+    /// Slot of the object's first element.
+    pub(super) first_slot: u32,
+    /// What to add to slots of the front to get those of the back; 0: the back has no elements.
+    pub(super) back_offset: u32,
+    /// Slot of the object's first triangle.
+    pub(super) first_face: u32,
+    /// Id of the object's first cell.
+    pub(super) first_cell: u32,
+    pub(super) layout: Arc<Layout>,
+}
+
+impl Part {
+    /// Of no object.
+    pub(super) fn free() -> Part {
+        Part {
+            albedo: Vec3::ZERO,
+            object: NO_OBJECT,
+            double_sided: false,
+            solid: false,
+            first_slot: 0,
+            back_offset: 0,
+            first_face: 0,
+            first_cell: 0,
+            layout: Arc::default(),
+        }
+    }
+
+    /// Whether the back has elements of its own.
+    pub(crate) fn has_back(&self) -> bool {
+        self.back_offset > 0
+    }
+}
+
+/// Equal where light is: layouts are compared by identity.
+impl PartialEq for Part {
+    fn eq(&self, other: &Part) -> bool {
+        let of = |part: &Part| {
+            let places = [part.object, part.first_slot, part.back_offset, part.first_face, part.first_cell];
+            (part.albedo, part.double_sided, part.solid, places)
+        };
+        of(self) == of(other) && Arc::ptr_eq(&self.layout, &other.layout)
+    }
+}

@@ -1,0 +1,115 @@
+//! Flat arrays over the elements of a world, indexed by slot. Slots are stable: a removed object leaves a hole, which a
+//! later one may fill.
+
+use std::ops::Range;
+
+use glam::Vec3;
+
+use super::holes::Holes;
+use super::layout::Elements;
+
+/// Marks a slot without an object.
+pub const NO_OBJECT: u32 = u32::MAX;
+
+/// Elements of all objects.
+#[derive(Debug, Default)]
+pub(crate) struct Slots {
+    /// Sample points, scene space.
+    pub positions: Vec<Vec3>,
+    /// Unit normals.
+    pub normals: Vec<Vec3>,
+    /// m²; zero in holes.
+    pub areas: Vec<f32>,
+    /// Key of the owning object, or [`NO_OBJECT`].
+    pub owners: Vec<u32>,
+    free: Holes,
+}
+
+/// What of a world's lists belongs to an object.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Placement {
+    /// Element slots: the front's, then the back's where it has any.
+    pub elements: Range<u32>,
+    /// Triangle slots: what trees call their triangles.
+    pub faces: Range<u32>,
+    /// Ids of cells.
+    pub cells: Range<u32>,
+    /// Parts, one per material.
+    pub parts: Range<u32>,
+}
+
+impl Placement {
+    /// The element slots as indices of arrays.
+    pub(crate) fn element_indices(&self) -> Range<usize> {
+        self.elements.start as usize..self.elements.end as usize
+    }
+}
+
+/// An edit of geometry copies all arrays: on two threads.
+impl Clone for Slots {
+    fn clone(&self) -> Self {
+        let ((positions, areas), (normals, owners)) = rayon::join(
+            || (self.positions.clone(), self.areas.clone()),
+            || (self.normals.clone(), self.owners.clone()),
+        );
+        Slots { positions, normals, areas, owners, free: self.free.clone() }
+    }
+}
+
+impl Slots {
+    /// Puts elements into free slots, those of the back behind those of the front.
+    pub(super) fn place(&mut self, elements: &Elements, key: u32, with_back: bool) -> Range<u32> {
+        let front = elements.positions.len();
+        let count = if with_back { 2 * front } else { front };
+        let first = self.free.take(count, self.owners.len());
+        let end = first + count;
+        if end > self.owners.len() {
+            self.positions.resize(end, Vec3::ZERO);
+            self.normals.resize(end, Vec3::ZERO);
+            self.areas.resize(end, 0.0);
+            self.owners.resize(end, NO_OBJECT);
+        }
+        self.owners[first..end].fill(key);
+        self.write(elements, first, with_back);
+        first as u32..end as u32
+    }
+
+    /// Writes elements whose slots are there already.
+    pub(super) fn write(&mut self, elements: &Elements, first: usize, with_back: bool) {
+        let n = elements.positions.len();
+        for first in [Some(first), with_back.then_some(first + n)].into_iter().flatten() {
+            self.positions[first..first + n].copy_from_slice(&elements.positions);
+            self.normals[first..first + n].copy_from_slice(&elements.normals);
+            self.areas[first..first + n].copy_from_slice(&elements.areas);
+        }
+        if with_back {
+            self.normals[first + n..first + 2 * n].iter_mut().for_each(|normal| *normal = -*normal);
+        }
+    }
+
+    /// The elements of the front of an object.
+    pub(super) fn read(&self, first: usize, count: usize) -> Elements {
+        let range = first..first + count;
+        Elements {
+            positions: self.positions[range.clone()].to_vec(),
+            normals: self.normals[range.clone()].to_vec(),
+            areas: self.areas[range].to_vec(),
+        }
+    }
+
+    /// Frees slots.
+    pub(super) fn clear(&mut self, range: Range<usize>) {
+        self.positions[range.clone()].fill(Vec3::ZERO);
+        self.normals[range.clone()].fill(Vec3::ZERO);
+        self.areas[range.clone()].fill(0.0);
+        self.owners[range.clone()].fill(NO_OBJECT);
+        self.free.give(range);
+    }
+
+    /// Bytes held.
+    pub(super) fn memory_bytes(&self) -> usize {
+        (self.positions.capacity() + self.normals.capacity()) * size_of::<Vec3>()
+            + self.areas.capacity() * size_of::<f32>()
+            + self.owners.capacity() * size_of::<u32>()
+    }
+}
