@@ -91,6 +91,12 @@ impl Space {
         Placement { elements, faces: range, cells, parts: of_object }
     }
 
+    /// Makes room for so many more slots: objects are placed without moving those before them.
+    pub(crate) fn reserve(&mut self, slots: usize) {
+        let there = self.slots.owners.len();
+        Arc::make_mut(&mut self.slots).reserve(there + slots);
+    }
+
     /// Frees what an object has.
     pub(crate) fn clear(&mut self, placement: &Placement) {
         Arc::make_mut(&mut self.slots).clear(placement.element_indices());

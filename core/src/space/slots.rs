@@ -64,6 +64,7 @@ impl Slots {
         let first = self.free.take(count, self.owners.len());
         let end = first + count;
         if end > self.owners.len() {
+            self.reserve(end);
             self.positions.resize(end, Vec3::ZERO);
             self.normals.resize(end, Vec3::ZERO);
             self.areas.resize(end, 0.0);
@@ -72,6 +73,15 @@ impl Slots {
         self.owners[first..end].fill(key);
         self.write(elements, first, with_back);
         first as u32..end as u32
+    }
+
+    /// Makes room for so many slots, and no more.
+    pub(super) fn reserve(&mut self, slots: usize) {
+        let more = slots.saturating_sub(self.owners.len());
+        self.positions.reserve_exact(more);
+        self.normals.reserve_exact(more);
+        self.areas.reserve_exact(more);
+        self.owners.reserve_exact(more);
     }
 
     /// Writes elements whose slots are there already.

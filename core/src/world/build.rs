@@ -30,6 +30,7 @@ pub(super) fn build(scene: Scene, options: &WorldOptions) -> Result<World, World
 
     let mut placed = Vec::with_capacity(ready.len());
     let mut space = Space::default();
+    space.reserve(ready.iter().map(|r| r.layout.len()).sum());
     for (key, (object, ready)) in scene.objects.iter().zip(ready).enumerate() {
         placed.push(ready.place(&mut space, object, key as u32, false));
     }
@@ -163,6 +164,8 @@ fn give_backs(world: &mut World) -> Result<(), WorldError> {
         return Ok(());
     }
     let mut space = Space::default();
+    let sides = |(old, back): (&Arc<Placed>, &bool)| old.layout.len() * if *back { 2 } else { 1 };
+    space.reserve(world.placed.iter().zip(&seen).map(sides).sum());
     let mut placed = Vec::with_capacity(world.placed.len());
     for ((object, old), back) in world.scene.objects.iter().zip(&world.placed).zip(seen) {
         placed.push(Arc::new(Ready::again(world, old).place(&mut space, object, old.key, back)));

@@ -52,6 +52,8 @@ impl Coarse {
         for (p, n) in positions.iter().zip(normals) {
             coarse.push_entries(*p, *n, positions, normals, radius, &cell_index);
         }
+        coarse.entries.shrink_to_fit();
+        coarse.offsets.shrink_to_fit();
         coarse
     }
 
