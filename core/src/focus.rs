@@ -118,7 +118,7 @@ fn is_seen(world: &World, slot: usize, eye: Vec3, [right, up, forward]: [Vec3; 3
     if depth <= 0.0 || !inside(right) || !inside(up) || n.dot(to_eye) <= 0.0 {
         return false;
     }
-    let lift = n * world.lift();
+    let lift = n * world.lift(from);
     !world.trees.any_hit(&Ray { origin: from + lift, direction: to_eye - lift, t_min: 0.0, t_max: 1.0 })
 }
 

@@ -56,6 +56,8 @@ impl Piece {
             let back = |[a, b, c]: [u32; 3]| [a, c, b].map(|element| element + n as u32);
             piece.triangles.extend(cells.iter().map(|patch| back(patch.elements)));
             piece.triangle_materials.extend_from_within(..);
+            // Both copies drawn from either side would show one side's light on the other.
+            piece.materials.iter_mut().for_each(|material| material.double_sided = false);
         }
         // The radiance in force is that of the light, not of the upload.
         for (number, material) in piece.materials.iter_mut().enumerate() {

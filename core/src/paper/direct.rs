@@ -6,7 +6,7 @@ use super::scenes::ObjectScene;
 use crate::bvh::Ray;
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
-use crate::transport::direct::{SHADOW_END, visible_weight};
+use crate::transport::direct::visible_weight;
 use crate::transport::{DirectLight, Work};
 use crate::world::Emitter;
 
@@ -31,7 +31,7 @@ impl ObjectScene<'_> {
                 for k in 0..count {
                     let u = sequence.get(k);
                     weight += if own {
-                        visible_weight(emitter, self.with, &self.with.trees, point, n, u, rays)
+                        visible_weight(emitter, &self.with.trees, point, n, u, rays)
                     } else {
                         -self.hidden_weight(emitter, point, n, u, rays)
                     };
@@ -45,7 +45,7 @@ impl ObjectScene<'_> {
     /// Weight of a light sample that the object hides and S does not.
     fn hidden_weight(&self, emitter: &Emitter, point: Vec3, n: Vec3, u: [f32; 2], rays: &mut u64) -> f32 {
         let Some(sample) = emitter.sample(point, n, u) else { return 0.0 };
-        let end = if sample.distance.is_finite() { sample.distance * SHADOW_END + self.with.epsilon } else { 0.0 };
+        let end = sample.end(point);
         let segment = Ray { origin: point, direction: sample.direction, t_min: 0.0, t_max: sample.distance - end };
         *rays += 1;
         if !self.object.any_hit(&segment, None) {

@@ -48,7 +48,7 @@ struct Vertex {
 impl Vertex {
     fn new(world: &World, ray: &Ray, hit: &Hit) -> Option<Vertex> {
         let surfel = Surfel::new(world, ray, hit)?;
-        Some(Vertex { surfel, point: surfel.position + surfel.normal * world.epsilon })
+        Some(Vertex { surfel, point: surfel.ray_origin() })
     }
 }
 

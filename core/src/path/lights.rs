@@ -60,7 +60,7 @@ impl<'a> Lights<'a> {
             }
             let sequence = R2::new(rng);
             for k in 0..count {
-                let w = visible_weight(emitter, world, &world.trees, point, n, sequence.get(k), rays);
+                let w = visible_weight(emitter, &world.trees, point, n, sequence.get(k), rays);
                 let cosine_samples = if emitter.is_delta() { 0.0 } else { self.cosine_samples };
                 sum += emitter.strength * (w / (count as f32 + cosine_samples * w));
             }
@@ -84,7 +84,7 @@ impl<'a> Lights<'a> {
         let world = self.world;
         let Some((index, probability)) = world.emitters.choose(point, n, rng.next_f32()) else { return Vec3::ZERO };
         let emitter = &world.emitters.list[index];
-        let w = visible_weight(emitter, world, &world.trees, point, n, rng.next_2d(), rays);
+        let w = visible_weight(emitter, &world.trees, point, n, rng.next_2d(), rays);
         let cosine_samples = if emitter.is_delta() { 0.0 } else { 1.0 };
         emitter.strength * (w / (probability + cosine_samples * w))
     }

@@ -136,7 +136,7 @@ fn path(lights: &Lights, mut n: Vec3, mut ray: Ray, rng: &mut Pcg32, rays: &mut 
             beta /= survive;
         }
         n = surfel.normal;
-        let point = surfel.position + n * world.epsilon;
+        let point = surfel.ray_origin();
         indirect += beta * lights.sampled(point, n, rng, rays);
         ray = Ray { origin: point, direction: cosine_hemisphere(n, rng.next_2d()), ..FREE };
     }

@@ -74,14 +74,14 @@ impl<'a> Shading<'a> {
     fn direct(&self, surfel: &Surfel, k: u32, sequences: &[R2], rng: &mut Pcg32) -> Vec3 {
         let world = self.world;
         let n = smooth_normal(world, surfel);
-        let point = surfel.position + surfel.normal * world.epsilon;
+        let point = surfel.ray_origin();
         let (list, mut rays) = (&world.emitters.list, 0);
         let mut sum = Vec3::ZERO;
         if list.len() <= MAX_LIGHTS {
             for (emitter, sequence) in list.iter().zip(sequences) {
                 if emitter.strength != Vec3::ZERO && !emitter.is_below_horizon(point, n) {
                     let u = sequence.get(k);
-                    sum += emitter.strength * visible_weight(emitter, world, &world.trees, point, n, u, &mut rays);
+                    sum += emitter.strength * visible_weight(emitter, &world.trees, point, n, u, &mut rays);
                 }
             }
         } else {
@@ -104,7 +104,7 @@ impl<'a> Shading<'a> {
         }
         let rough = Rough::default();
         let field = Field { total: &self.totals, direct: &self.totals, rough: &rough };
-        let from = (surfel.position + surfel.normal * self.world.epsilon, surfel.normal);
+        let from = (surfel.ray_origin(), surfel.normal);
         let direction = cosine_hemisphere(surfel.normal, rng.next_2d());
         let (mut light, rays, source) = (Vec3::ZERO, &mut 0, field.source(self.world, None));
         let (_, landed) = source.along(self.world, u32::MAX, from, direction, 0.0, rng, rays, &mut light);

@@ -27,6 +27,38 @@ pub(crate) struct Elements {
     pub areas: Vec<f32>,
 }
 
+/// Lifts elements off flat triangles to the round surface that shading normals promise, or rays that start on them would
+/// meet the next triangle beside the terminator (Hanika 2021, Hacking the Shadow Terminator): by the distance to the tangent
+/// planes at the triangle's vertices, where those lie above. Flat and hollow surfaces stay as they are.
+fn raise(surface: &Surface, cells: &Cells, positions: &mut [Vec3]) {
+    let is_round = |face: u32| {
+        let [a, b, c] = surface.triangles[face as usize].map(|vertex| surface.normals[vertex as usize]);
+        a != b || b != c
+    };
+    let round = cells.collect(surface, |patch| is_round(patch.face).then_some((patch.face, patch.elements)));
+    let mut is_raised = vec![false; if round.is_empty() { 0 } else { positions.len() }];
+    for (face, element) in round.into_iter().flat_map(|(face, elements)| elements.map(|e| (face, e as usize))) {
+        if std::mem::replace(&mut is_raised[element], true) {
+            continue;
+        }
+        let point = positions[element];
+        let vertices = surface.triangles[face as usize].map(|v| v as usize);
+        let weights = barycentrics(point, surface.corners(face as usize));
+        let lift = |(vertex, weight): (usize, f32)| {
+            let normal = surface.normals[vertex];
+            normal * (weight * (surface.positions[vertex] - point).dot(normal).max(0.0))
+        };
+        positions[element] = point + vertices.into_iter().zip(weights).map(lift).sum::<Vec3>();
+    }
+}
+
+/// Weights of the corners of a triangle at a point in its plane, none below zero.
+fn barycentrics(point: Vec3, [a, b, c]: [Vec3; 3]) -> [f32; 3] {
+    let n = (b - a).cross(c - a);
+    let part = |p: Vec3, q: Vec3| ((p - point).cross(q - point).dot(n) / n.length_squared()).max(0.0);
+    [part(b, c), part(c, a), part(a, b)]
+}
+
 impl Elements {
     /// These elements after a rigid motion in scene space.
     pub(crate) fn transformed(&self, motion: &DMat4) -> Elements {
@@ -69,7 +101,8 @@ impl Layout {
         let of_cells = cells.collect(surface, |patch| Some(patch.elements));
         let neighbours = Neighbours::new(corners.len(), &of_cells);
         let triangles: Vec<[u32; 3]> = of_cells.into_iter().filter(has_area).collect();
-        let elements = sample_points(&corners, &normals, &triangles);
+        let mut elements = sample_points(&corners, &normals, &triangles);
+        raise(surface, &cells, &mut elements.positions);
         Ok((Layout { cells, neighbours }, elements))
     }
 

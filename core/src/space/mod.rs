@@ -10,6 +10,7 @@ mod footprint;
 mod holes;
 mod layout;
 mod neighbours;
+mod offset;
 mod part;
 mod slots;
 mod subdivide;
@@ -19,6 +20,7 @@ mod tests;
 pub(crate) use cells::Patch;
 pub(crate) use footprint::{Footprint, Spot};
 pub(crate) use layout::{Elements, Layout};
+pub(crate) use offset::ray_offset;
 pub(crate) use part::Part;
 pub use slots::NO_OBJECT;
 pub(crate) use slots::{Placement, Slots};
@@ -67,7 +69,8 @@ impl Space {
         key: u32,
         with_back: bool,
     ) -> Placement {
-        let elements = Arc::make_mut(&mut self.slots).place(elements, key, with_back);
+        let extent = surface.largest_extent();
+        let elements = Arc::make_mut(&mut self.slots).place(elements, extent, key, with_back);
         let parts = Arc::make_mut(&mut self.parts);
         let cells = parts.take_cells(layout.ids());
         let faces = Arc::make_mut(&mut self.faces);
@@ -75,6 +78,7 @@ impl Space {
         let part = |(albedo, double_sided)| Part {
             albedo,
             object: key,
+            extent,
             double_sided,
             solid: false,
             first_slot: elements.start,

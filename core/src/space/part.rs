@@ -14,6 +14,8 @@ pub(crate) struct Part {
     pub albedo: Vec3,
     /// Key of the object; [`super::NO_OBJECT`] where the part is free.
     pub object: u32,
+    /// Of the object's triangles: longest side of their boxes, m.
+    pub extent: f32,
     /// Both sides reflect.
     pub double_sided: bool,
     /// The object bounds a volume that light does not enter: a ray that meets its back starts inside it.
@@ -35,6 +37,7 @@ impl Part {
         Part {
             albedo: Vec3::ZERO,
             object: NO_OBJECT,
+            extent: 0.0,
             double_sided: false,
             solid: false,
             first_slot: 0,

@@ -7,6 +7,7 @@ use glam::Vec3;
 
 use super::holes::Holes;
 use super::layout::Elements;
+use super::offset::ray_offset;
 
 /// Marks a slot without an object.
 pub const NO_OBJECT: u32 = u32::MAX;
@@ -22,6 +23,8 @@ pub(crate) struct Slots {
     pub areas: Vec<f32>,
     /// Key of the owning object, or [`NO_OBJECT`].
     pub owners: Vec<u32>,
+    /// By key of an object: longest side of its triangles' boxes, m.
+    extents: Vec<f32>,
     free: Holes,
 }
 
@@ -52,13 +55,13 @@ impl Clone for Slots {
             || (self.positions.clone(), self.areas.clone()),
             || (self.normals.clone(), self.owners.clone()),
         );
-        Slots { positions, normals, areas, owners, free: self.free.clone() }
+        Slots { positions, normals, areas, owners, extents: self.extents.clone(), free: self.free.clone() }
     }
 }
 
 impl Slots {
     /// Puts elements into free slots, those of the back behind those of the front.
-    pub(super) fn place(&mut self, elements: &Elements, key: u32, with_back: bool) -> Range<u32> {
+    pub(super) fn place(&mut self, elements: &Elements, extent: f32, key: u32, with_back: bool) -> Range<u32> {
         let front = elements.positions.len();
         let count = if with_back { 2 * front } else { front };
         let first = self.free.take(count, self.owners.len());
@@ -71,6 +74,10 @@ impl Slots {
             self.owners.resize(end, NO_OBJECT);
         }
         self.owners[first..end].fill(key);
+        if self.extents.len() <= key as usize {
+            self.extents.resize(key as usize + 1, 0.0);
+        }
+        self.extents[key as usize] = extent;
         self.write(elements, first, with_back);
         first as u32..end as u32
     }
@@ -107,6 +114,13 @@ impl Slots {
         }
     }
 
+    /// How far rays of an element start off its surface, m.
+    #[inline]
+    pub(crate) fn offset(&self, slot: usize) -> f32 {
+        let extent = self.extents.get(self.owners[slot] as usize).copied().unwrap_or(0.0);
+        ray_offset(self.positions[slot], extent)
+    }
+
     /// Frees slots.
     pub(super) fn clear(&mut self, range: Range<usize>) {
         self.positions[range.clone()].fill(Vec3::ZERO);
@@ -121,5 +135,6 @@ impl Slots {
         (self.positions.capacity() + self.normals.capacity()) * size_of::<Vec3>()
             + self.areas.capacity() * size_of::<f32>()
             + self.owners.capacity() * size_of::<u32>()
+            + self.extents.capacity() * size_of::<f32>()
     }
 }

@@ -82,12 +82,7 @@ fn ellipsoid() -> Mesh {
 
 /// One triangle, without normals.
 fn triangle(corners: [Vec3; 3]) -> Mesh {
-    Mesh {
-        positions: corners.to_vec(),
-        normals: Vec::new(),
-        triangles: vec![[0, 1, 2]],
-        triangle_materials: vec![0],
-    }
+    Mesh { positions: corners.to_vec(), normals: Vec::new(), triangles: vec![[0, 1, 2]], triangle_materials: vec![0] }
 }
 
 #[test]
@@ -274,5 +269,6 @@ fn what_is_freed_is_used_again() {
         assert_eq!(placement, first);
         assert!(!space.is_cut(placement.cells.start), "what stood on a cell went with it");
     }
-    assert!(space.memory_bytes() <= bytes + 64 && space.cells() == cells);
+    // But for what is kept of every key, four bytes.
+    assert!(space.memory_bytes() <= bytes + 1024 && space.cells() == cells);
 }

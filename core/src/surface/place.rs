@@ -19,6 +19,12 @@ impl Surface {
         self.positions.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)))
     }
 
+    /// Longest side of the boxes of its triangles, metres: hits on them are as exact as this is small.
+    pub fn largest_extent(&self) -> f32 {
+        let extent = |[a, b, c]: [Vec3; 3]| (a.max(b).max(c) - a.min(b).min(c)).max_element();
+        self.all_corners().map(extent).fold(0.0, f32::max)
+    }
+
     /// Bytes held.
     pub fn memory_bytes(&self) -> usize {
         self.positions.capacity() * size_of::<Vec3>()

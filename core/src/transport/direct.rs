@@ -9,9 +9,6 @@ use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
 use crate::world::{Emitter, Trees, World};
 
-/// Shadow rays end this part of their length before the light.
-pub(crate) const SHADOW_END: f32 = 1e-4;
-
 /// How many samples each light gets, for a nominal number per element.
 #[derive(Clone, Debug)]
 pub(crate) struct DirectLight {
@@ -55,7 +52,7 @@ impl DirectLight {
             let sequence = R2::new(rng);
             let mut weight = 0.0;
             for k in 0..count {
-                weight += visible_weight(emitter, world, &world.trees, point, n, sequence.get(k), rays);
+                weight += visible_weight(emitter, &world.trees, point, n, sequence.get(k), rays);
             }
             sum.add_to_layer(emitter.layer, emitter.strength * (weight / count as f32));
         }
@@ -82,7 +79,6 @@ impl DirectLight {
 #[inline]
 pub(crate) fn visible_weight(
     emitter: &Emitter,
-    world: &World,
     trees: &Trees,
     point: Vec3,
     n: Vec3,
@@ -91,7 +87,7 @@ pub(crate) fn visible_weight(
 ) -> f32 {
     let Some(sample) = emitter.sample(point, n, u) else { return 0.0 };
     *rays += 1;
-    let end = if sample.distance.is_finite() { sample.distance * SHADOW_END + world.epsilon } else { 0.0 };
+    let end = sample.end(point);
     if trees.visible(point, sample.direction, sample.distance, end) { sample.weight } else { 0.0 }
 }
 
@@ -100,7 +96,7 @@ pub(crate) fn visible_weight(
 pub(crate) fn one_light<V: Value>(world: &World, point: Vec3, n: Vec3, rng: &mut Pcg32, rays: &mut u64) -> V {
     let Some((index, probability)) = world.emitters.choose(point, n, rng.next_f32()) else { return V::default() };
     let emitter = &world.emitters.list[index];
-    let weight = visible_weight(emitter, world, &world.trees, point, n, rng.next_2d(), rays);
+    let weight = visible_weight(emitter, &world.trees, point, n, rng.next_2d(), rays);
     V::of_layer(emitter.layer, emitter.strength * (weight / probability))
 }
 

@@ -6,6 +6,7 @@ use super::direct::{direct_at, one_light};
 use super::{Effort, Rough, Spots, Target, Value, Work, black};
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
+use crate::space::ray_offset;
 use crate::world::World;
 
 /// Samples of direct light per element.
@@ -53,7 +54,7 @@ fn probe<V: Value>(world: &World, target: &Target, seed: u64, work: &Work) -> V 
     let (sequence, mut rays) = (R2::new(&mut rng), 0);
     let sample = |k| {
         let (point, n) = target.point(sequence.get(k));
-        one_light::<V>(world, point + n * world.epsilon, n, &mut rng, &mut rays)
+        one_light::<V>(world, point + n * ray_offset(point, target.extent()), n, &mut rng, &mut rays)
     };
     let sum: V = (0..PROBES).map(sample).sum();
     work.count(rays);

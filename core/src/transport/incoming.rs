@@ -73,7 +73,7 @@ impl<V: Value, F: Radiance<V>> Source<'_, F, V> {
             *light += (self.radiance)(receiver, surfel, near, rng, rays) * (weight * share);
             receiver = surfel.nearest_element();
             if ratio > 0.0 {
-                (from, ratio) = ((surfel.position + surfel.normal * world.epsilon, surfel.normal), 1.0);
+                (from, ratio) = ((surfel.ray_origin(), surfel.normal), 1.0);
                 *light += self.aimed(world, receiver, from, rng.next_2d(), ratio, rng, rays) * (weight * surfel.albedo);
             }
         });

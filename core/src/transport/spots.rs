@@ -54,6 +54,12 @@ pub(crate) struct Target {
 }
 
 impl Target {
+    /// Longest side of the cell's box, m.
+    pub(crate) fn extent(&self) -> f32 {
+        let [a, b, c] = self.corners;
+        (a.max(b).max(c) - a.min(b).min(c)).max_element()
+    }
+
     /// A point and the normal on this side there, from two numbers in [0, 1).
     #[inline]
     pub(crate) fn point(&self, u: [f32; 2]) -> From {

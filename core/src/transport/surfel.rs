@@ -3,7 +3,7 @@
 use glam::Vec3;
 
 use crate::bvh::{Hit, Ray};
-use crate::space::{Footprint, Part, Spot};
+use crate::space::{Footprint, Part, Spot, ray_offset};
 use crate::world::World;
 
 /// A reflecting point that a ray met, seen from the side of the ray.
@@ -13,6 +13,8 @@ pub(crate) struct Surfel {
     pub position: Vec3,
     /// Unit geometric normal on the side that the ray came from.
     pub normal: Vec3,
+    /// How far rays start off it, metres.
+    pub offset: f32,
     /// Diffuse albedo.
     pub albedo: Vec3,
     /// Index of its part.
@@ -43,8 +45,11 @@ impl Surfel {
         if is_back && !part.double_sided {
             return None;
         }
+        let position = ray.origin + ray.direction * hit.t;
         let surfel = Surfel {
-            position: ray.origin + ray.direction * hit.t,
+            position,
+            // As exact as the way there was long.
+            offset: ray_offset(position, part.extent.max(hit.t)),
             normal: if is_back { -hit.normal } else { hit.normal },
             albedo: part.albedo,
             part: index,
@@ -67,15 +72,25 @@ impl Surfel {
 
     #[cold]
     fn leave_out_hidden(&mut self, world: &World, rays: &mut u64) {
-        let above = self.normal * world.lift();
+        let above = self.normal * world.lift(self.position);
         let from = self.position + above;
-        let is_hidden = |slot: u32| {
+        // Values that elements have from neighbours are those of one side, and maybe not of this.
+        let is_out = |slot: u32| {
+            if !world.is_valid(slot as usize) {
+                return true;
+            }
             let to = world.positions()[slot as usize] + above;
             *rays += 1;
             let ray = Ray { origin: from, direction: to - from, t_min: 0.0, t_max: 0.98 };
             from != to && world.trees.any_hit(&ray)
         };
-        self.footprint = self.footprint.and_then(|footprint| footprint.without(is_hidden));
+        self.footprint = self.footprint.and_then(|footprint| footprint.without(is_out));
+    }
+
+    /// Where rays start that leave it.
+    #[inline]
+    pub(crate) fn ray_origin(&self) -> Vec3 {
+        self.position + self.normal * self.offset
     }
 
     /// The element slot that weighs most; `u32::MAX` where there is none.

@@ -80,7 +80,7 @@ pub(crate) fn walk(
             }
             weight /= survive;
         }
-        ray.origin = surfel.position + surfel.normal * world.epsilon;
+        ray.origin = surfel.ray_origin();
         ray.direction = cosine_hemisphere(surfel.normal, rng.next_2d());
     }
     End::Absorbed
@@ -171,7 +171,7 @@ impl<V: Value> Field<'_, V> {
 /// Light that a surface gets straight from one of the lights, irradiance / π; the sky's is where a path escapes.
 #[inline]
 fn light_at<V: Value>(world: &World, surfel: &Surfel, rng: &mut Pcg32, rays: &mut u64) -> V {
-    one_light(world, surfel.position + surfel.normal * world.epsilon, surfel.normal, rng, rays)
+    one_light(world, surfel.ray_origin(), surfel.normal, rng, rays)
 }
 
 /// Light of the sky at a surface, one sample.
@@ -181,7 +181,7 @@ fn sky_at<V: Value>(world: &World, surfel: &Surfel, rng: &mut Pcg32, rays: &mut 
         return V::default();
     }
     *rays += 1;
-    let origin = surfel.position + surfel.normal * world.epsilon;
+    let origin = surfel.ray_origin();
     let direction = cosine_hemisphere(surfel.normal, rng.next_2d());
     let hidden = world.trees.any_hit(&Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY });
     if hidden { V::default() } else { world.emitters.sky() }

@@ -8,7 +8,6 @@ use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::{Spheres, cosine_hemisphere};
 use crate::solve::Subset;
-use crate::transport::direct::SHADOW_END;
 use crate::transport::{DirectLight, Value, Work};
 use crate::world::{Emitter, Transition, World};
 
@@ -119,11 +118,7 @@ impl<'a> DirectChange<'a> {
         let mut sum = Vec3::ZERO;
         for k in 0..count {
             let Some(sample) = emitter.sample(point, n, sequence.get(k)) else { continue };
-            let end = if sample.distance.is_finite() {
-                sample.distance * SHADOW_END + self.transition.after.epsilon
-            } else {
-                0.0
-            };
+            let end = sample.end(point);
             let ray = Ray { origin: point, direction: sample.direction, t_min: 0.0, t_max: sample.distance - end };
             let came = self.hides(&self.transition.come, &ray, rays);
             let went = self.hides(&self.transition.gone, &ray, rays);

@@ -252,7 +252,6 @@ impl Draft {
         let Draft { mut world, gone, come, touched, .. } = self;
         let mut ranges = Vec::new();
         if changed {
-            world.epsilon = world.epsilon.max(build::epsilon_of(&world.space));
             let placed = world.placed.iter().filter(|p| come.contains(&p.key));
             ranges = placed.map(|p| p.placement.elements.clone()).collect();
             let grown: Vec<(Vec3, Vec3)> = touched
@@ -261,6 +260,7 @@ impl Draft {
                 .collect();
             world.validity = Arc::new(Validity::updated(&before.validity, &world, &ranges, &grown));
             world.look_around(Some(&grown), |placed| come.contains(&placed.key));
+            world.find_behind(Some(&grown), |placed| come.contains(&placed.key));
         }
         let come_trees = world.placed.iter().filter(|p| come.contains(&p.key));
         let come_tree = merged_tree(come_trees.map(|p| &**p));

@@ -16,9 +16,6 @@ use crate::surface::{DEFAULT_ELEMENTS, Surface, default_spacing, object_area};
 /// Edge of the cells that smooth light is evaluated in, in units of [`Resolution::smooth`].
 pub(crate) const COARSE_RADIUS: f32 = 2.5;
 
-/// Ray offset over the largest coordinate: about thirty units in the last place of `f32`.
-const EPSILON: f32 = 4e-6;
-
 pub(super) fn build(scene: Scene, options: &WorldOptions) -> Result<World, WorldError> {
     let default = default_spacing(scene.objects.par_iter().map(object_area).sum(), DEFAULT_ELEMENTS);
     let spacing = spacing_of(options, default)?;
@@ -34,7 +31,6 @@ pub(super) fn build(scene: Scene, options: &WorldOptions) -> Result<World, World
     for (key, (object, ready)) in scene.objects.iter().zip(ready).enumerate() {
         placed.push(ready.place(&mut space, object, key as u32, false));
     }
-    let epsilon = epsilon_of(&space);
     let trees = big_tree(&placed, 0);
     let next_key = placed.len() as u32;
     let mut world = World {
@@ -47,7 +43,6 @@ pub(super) fn build(scene: Scene, options: &WorldOptions) -> Result<World, World
         emitters: Arc::default(),
         validity: Arc::default(),
         sight: BTreeMap::new(),
-        epsilon,
         next_key,
     };
     world.emitters = Arc::new(world.resolve_emitters());
@@ -55,6 +50,7 @@ pub(super) fn build(scene: Scene, options: &WorldOptions) -> Result<World, World
     world.mark_solids();
     world.validity = Arc::new(Validity::of_all(&world));
     world.look_around(None, |_| true);
+    world.find_behind(None, |_| true);
     Ok(world)
 }
 
@@ -149,12 +145,6 @@ pub(super) fn small_tree(placed: &Placed) -> Arc<Bvh> {
 pub(super) fn big_tree<P: std::borrow::Borrow<Placed>>(placed: &[P], generation: u64) -> Trees {
     let (corners, ids) = corners_of(placed.iter().map(P::borrow));
     Trees { big: Arc::new(Bvh::build(&corners, &ids, BuildQuality::Good)), gone: None, small: Vec::new(), generation }
-}
-
-pub(super) fn epsilon_of(space: &Space) -> f32 {
-    let sizes = space.slots().positions.par_iter().with_min_len(4096).map(|p| p.abs().max_element());
-    let largest = sizes.reduce(|| 0.0, f32::max);
-    EPSILON * largest.max(f32::MIN_POSITIVE * 1e10)
 }
 
 /// Double-sided surfaces whose back is seen get elements there; slots are laid out anew, once.

@@ -7,10 +7,14 @@ use glam::Vec3;
 use crate::bvh::{Hit, Ray};
 use crate::sampling::{Discrete, SphericalTriangle, uniform_barycentrics};
 use crate::scene::{Light, LightKind};
+use crate::space::ray_offset;
 use crate::transport::Value;
 
 /// Emitters of at most so many triangles are sampled by the solid angle of all of them from near.
 const FEW: usize = 4;
+
+/// Shadow rays end this part of their length before the light.
+const SHADOW_END: f32 = 1e-4;
 
 /// An emissive triangle in scene space.
 #[derive(Clone, Copy, Debug)]
@@ -81,6 +85,14 @@ pub(crate) struct LightSample {
     pub distance: f32,
     /// Contribution to irradiance / π at unit strength, divided by the density of the sample.
     pub weight: f32,
+}
+
+impl LightSample {
+    /// How far before the light a shadow ray from `point` ends, metres.
+    #[inline]
+    pub(crate) fn end(&self, point: Vec3) -> f32 {
+        if self.distance.is_finite() { self.distance * SHADOW_END + ray_offset(point, self.distance) } else { 0.0 }
+    }
 }
 
 /// All lights of a world.

@@ -3,6 +3,7 @@
 
 mod apply;
 mod build;
+mod buried;
 mod check;
 mod choice;
 mod coarse;
@@ -151,8 +152,6 @@ pub struct World {
     pub(crate) validity: Arc<Validity>,
     /// By key of the object.
     pub(crate) sight: BTreeMap<u32, Arc<Hidden>>,
-    /// How far rays start off a surface, metres.
-    pub(crate) epsilon: f32,
     pub(crate) next_key: u32,
 }
 
@@ -260,6 +259,6 @@ impl World {
     #[inline]
     pub(crate) fn ray_origin(&self, slot: usize) -> (Vec3, Vec3) {
         let n = self.normals()[slot];
-        (self.positions()[slot] + n * self.epsilon, n)
+        (self.positions()[slot] + n * self.space.slots().offset(slot), n)
     }
 }

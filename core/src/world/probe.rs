@@ -21,7 +21,7 @@ pub(super) fn backs_seen(world: &World) -> Vec<bool> {
         .placed
         .iter()
         .zip(&world.scene.objects)
-        .map(|(p, o)| !p.surface.closed && o.materials.iter().any(|m| m.double_sided))
+        .map(|(p, o)| o.materials.iter().any(|m| m.double_sided) && world.may_light_be_behind(p))
         .collect();
     if slots == 0 || !candidates.iter().any(|c| *c) {
         return vec![false; candidates.len()];
@@ -90,8 +90,20 @@ impl World {
             return false;
         }
         // A lamp inside: its light has to come out through backs that reflect.
+        !self.has_lamp_inside(placed)
+    }
+
+    /// Whether there may be light behind an object's surface: outside of what is closed there is, inside with a lamp.
+    fn may_light_be_behind(&self, placed: &Placed) -> bool {
+        !placed.surface.closed || placed.surface.volume > 0.0 && self.has_lamp_inside(placed)
+    }
+
+    /// Whether a lamp that is not the object itself is inside its closed surface.
+    fn has_lamp_inside(&self, placed: &Placed) -> bool {
+        let (low, high) = placed.surface.bounds();
+        let inside = |p: glam::Vec3| p.cmpge(low).all() && p.cmple(high).all() && contains(placed, p);
         let lamps = self.emitters.list.iter().filter(|e| e.object != Some(placed.key));
-        !lamps.filter_map(Emitter::sphere).any(|(c, _)| inside(c) && contains(placed, c))
+        lamps.filter_map(Emitter::sphere).any(|(center, _)| inside(center))
     }
 }
 
@@ -115,7 +127,8 @@ pub(super) fn back_seen(world: &World, index: usize) -> bool {
     const PAIRS: u32 = 4096;
     let (placed, object) = (&world.placed[index], &world.scene.objects[index]);
     let surface = &placed.surface;
-    if surface.closed || !object.materials.iter().any(|m| m.double_sided) || surface.triangles.is_empty() {
+    let has_back = object.materials.iter().any(|m| m.double_sided) && world.may_light_be_behind(placed);
+    if !has_back || surface.triangles.is_empty() {
         return false;
     }
     let mut rng = Pcg32::new(0x5ee, u64::from(placed.key));

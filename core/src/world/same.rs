@@ -6,6 +6,8 @@ use glam::Vec3;
 
 use super::{Placed, World};
 use crate::scene::Light;
+use crate::space::ray_offset;
+use crate::surface::Surface;
 
 impl World {
     /// Whether a light map of `other` is right for this world as it is: the same elements in the same slots, the same
@@ -49,7 +51,7 @@ impl World {
             && materials == other_materials
             && (0..materials).all(|m| parts(self, a, m) == parts(other, b, m))
             && (Arc::ptr_eq(&a.surface, &b.surface)
-                || are_close(&a.surface.positions, &b.surface.positions, self.epsilon)
+                || are_close(&a.surface.positions, &b.surface.positions, tolerance(&a.surface))
                     && are_close(&a.surface.normals, &b.surface.normals, SAME_NORMAL)
                     && a.surface.triangles == b.surface.triangles
                     && a.surface.triangle_materials == b.surface.triangle_materials)
@@ -58,6 +60,12 @@ impl World {
 
 /// Largest difference between unit normals that are the same: a few roundings.
 const SAME_NORMAL: f32 = 1e-5;
+
+/// How far vertices of the same surface may lie apart, metres: as far as rays start off it.
+fn tolerance(surface: &Surface) -> f32 {
+    let (low, high) = surface.bounds();
+    ray_offset(low.abs().max(high.abs()), surface.largest_extent())
+}
 
 /// Moving there and back rounds twice; rays start off a surface by as much as that.
 fn are_close(a: &[Vec3], b: &[Vec3], tolerance: f32) -> bool {

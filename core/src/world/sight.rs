@@ -6,8 +6,10 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::buried::behind_surfaces;
 use super::{Placed, World};
 use crate::bvh::Ray;
+use crate::space::ray_offset;
 
 /// Height above the surface at which sight is asked for, in spacings.
 const LIFT: f32 = 0.05;
@@ -58,10 +60,10 @@ type Seen = (Option<Hidden>, Vec<(u32, bool)>);
 pub(super) type Touched<'a> = Option<&'a [(Vec3, Vec3)]>;
 
 impl World {
-    /// How far above a surface sight is asked for, metres.
+    /// How far above a surface sight is asked for at a point, metres.
     #[inline]
-    pub(crate) fn lift(&self) -> f32 {
-        (LIFT * self.resolution.smooth).max(4.0 * self.epsilon)
+    pub(crate) fn lift(&self, point: Vec3) -> f32 {
+        (LIFT * self.resolution.smooth).max(4.0 * ray_offset(point, 0.0))
     }
 
     /// Asks anew where geometry has changed, and everywhere for objects that are new.
@@ -89,6 +91,40 @@ impl World {
         self.space.set_cuts(cuts);
     }
 
+    /// Finds the elements that a surface cuts off from their cells, anew where geometry has changed: they take their
+    /// neighbours' values from then on, and cells at them are cut.
+    pub(super) fn find_behind(&mut self, touched: Touched, is_new: impl Fn(&Placed) -> bool + Sync) {
+        let world = &*self;
+        let is_touched = |placed: &Placed| {
+            let bounds = grown(placed, world.spacing());
+            is_new(placed) || touched.is_none_or(|boxes| boxes.iter().any(|b| overlap(b, &bounds)))
+        };
+        let kept = |placed: &Placed| {
+            let slots = &placed.placement.elements;
+            world.validity.behind().iter().copied().filter(|slot| slots.contains(slot)).collect()
+        };
+        let of_object = |placed: &Arc<Placed>| -> Vec<u32> {
+            if is_touched(placed) { behind_surfaces(world, placed) } else { kept(placed) }
+        };
+        let mut behind: Vec<u32> = world.placed.par_iter().flat_map_iter(of_object).collect();
+        behind.sort_unstable();
+        if behind == world.validity.behind() {
+            return;
+        }
+        let validity = Arc::new(world.validity.with_behind(world, behind));
+        let is_behind = |slot: u32| validity.behind().binary_search(&slot).is_ok();
+        let cells = |placed: &Arc<Placed>| -> Vec<(u32, bool)> {
+            placed.layout.of_cells(&placed.surface, |patch| {
+                let at = placed.sides().any(|first| patch.elements.iter().any(|e| is_behind(first + e)));
+                at.then_some((placed.placement.cells.start + patch.cell, true))
+            })
+        };
+        let has_some = |placed: &&Arc<Placed>| placed.placement.elements.clone().any(is_behind);
+        let cells: Vec<(u32, bool)> = world.placed.par_iter().filter(has_some).flat_map_iter(cells).collect();
+        self.validity = validity;
+        self.space.set_cuts(cells);
+    }
+
     fn blocked(&self, from: Vec3, to: Vec3) -> bool {
         let ray = Ray { origin: from, direction: to - from, t_min: ENDS, t_max: 1.0 - ENDS };
         from != to && self.trees.any_hit(&ray)
@@ -113,7 +149,6 @@ fn hidden_entries(world: &World, placed: &Placed, touched: Touched, old: Option<
     let coarse = &placed.coarse;
     let n = placed.layout.len() as u32;
     let entries = coarse.entries.len();
-    let lift = world.lift();
     let sides = if placed.with_back { 2 } else { 1 };
     let hidden: Vec<usize> = (0..sides * n)
         .into_par_iter()
@@ -121,10 +156,7 @@ fn hidden_entries(world: &World, placed: &Placed, touched: Touched, old: Option<
         .flat_map_iter(|i| {
             let (back, element) = (i >= n, i % n);
             let first = placed.placement.elements.start + if back { n } else { 0 };
-            let above = move |element: u32| {
-                let slot = (first + element) as usize;
-                world.positions()[slot] + world.normals()[slot] * lift
-            };
+            let above = move |element: u32| world.above(first + element);
             let range = coarse.offsets[element as usize] as usize..coarse.offsets[element as usize + 1] as usize;
             range.filter_map(move |e| {
                 let (from, to) = (above(element), above(coarse.representatives[coarse.entries[e].0 as usize]));
@@ -139,18 +171,14 @@ fn hidden_entries(world: &World, placed: &Placed, touched: Touched, old: Option<
     Hidden::new(entries, &hidden)
 }
 
-/// Cells whose valid corners were asked whether they see each other, and whether some do not.
+/// Cells whose corners were asked whether they see each other, and whether some do not, or are no places of their own.
 fn cut_cells(world: &World, placed: &Placed, touched: Touched) -> Vec<(u32, bool)> {
-    let (positions, normals) = (world.positions(), world.normals());
-    let lift = world.lift();
+    let positions = world.positions();
     let n = placed.layout.len() as u32;
     let cut_on = |slots: [u32; 3]| {
         let valid = slots.map(|slot| world.validity.is_valid(slot as usize));
-        let above = slots.map(|slot| positions[slot as usize] + normals[slot as usize] * lift);
-        (0..3).any(|k| {
-            let l = (k + 1) % 3;
-            valid[k] && valid[l] && world.blocked(above[k], above[l])
-        })
+        let above = slots.map(|slot| world.above(slot));
+        valid != [true; 3] || (0..3).any(|k| world.blocked(above[k], above[(k + 1) % 3]))
     };
     placed.layout.of_cells(&placed.surface, |patch| {
         let slots = patch.elements.map(|element| placed.placement.elements.start + element);

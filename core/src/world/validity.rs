@@ -1,4 +1,5 @@
-//! Elements inside solids: recognised by the backs that their rays meet, filled from valid neighbours.
+//! Elements that cannot be computed, or not for what is seen of their cells: inside solids, or behind a surface that cuts
+//! most of their cells off. They take the values of neighbours.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -6,22 +7,18 @@ use std::ops::Range;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::buried::{depth_towards, is_inside};
 use super::sight::overlap;
 use super::{Placed, Trees, World};
-use crate::bvh::Ray;
-use crate::random::Pcg32;
-use crate::sampling::cosine_hemisphere;
 use crate::transport::Value;
-
-/// First a few rays; elements that meet a back are asked again with all.
-const FIRST_RAYS: u32 = 6;
-const ALL_RAYS: u32 = 32;
 
 /// Which elements cannot be computed, and where their values come from.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Validity {
     /// Invalid slots, ascending.
     invalid: Vec<u32>,
+    /// Those of them that are not inside a solid, but behind a surface; ascending.
+    behind: Vec<u32>,
     /// The same, a bit per slot; empty where all are valid.
     bits: Vec<u64>,
     /// Slots to fill, object by object, nearest to valid ones first; each is the mean of sources filled before it.
@@ -45,7 +42,29 @@ impl Validity {
             let slots = placed.placement.elements.clone().into_par_iter();
             slots.filter(|&slot| is_inside(world, slot)).collect()
         };
-        Validity::from_invalid(world, inside, |_, _| None)
+        Validity::from_invalid(world, Vec::new(), inside, |_, _| None)
+    }
+
+    /// This validity with other elements behind surfaces, ascending.
+    pub(super) fn with_behind(&self, world: &World, behind: Vec<u32>) -> Validity {
+        let all = |placed: &Placed| {
+            let slots = &placed.placement.elements;
+            let inside = self.invalid_of(slots).iter().filter(|slot| self.behind.binary_search(slot).is_err());
+            let mut all: Vec<u32> = inside.copied().chain(part_of(&behind, slots).iter().copied()).collect();
+            all.sort_unstable();
+            all.dedup();
+            all
+        };
+        let kept = |placed: &Placed, invalid: &[u32]| {
+            let range = self.of_object.get(&placed.key)?;
+            (self.invalid_of(&placed.placement.elements) == invalid).then(|| &self.fills[range.clone()])
+        };
+        Validity::from_invalid(world, behind.clone(), all, kept)
+    }
+
+    /// Elements behind surfaces, ascending.
+    pub(super) fn behind(&self) -> &[u32] {
+        &self.behind
     }
 
     /// Tests the elements of `ranges` and those within `bounds` anew, keeps the rest of `old`.
@@ -61,8 +80,8 @@ impl Validity {
             if !is_new(&slots.start) && !bounds.iter().any(|b| overlap(b, &own)) {
                 return old.invalid_of(&slots).to_vec();
             }
-            let is_inside =
-                |&slot: &u32| if is_affected(slot) { is_inside(world, slot) } else { !old.is_valid(slot as usize) };
+            let was_inside = |slot: u32| !old.is_valid(slot as usize) && old.behind.binary_search(&slot).is_err();
+            let is_inside = |&slot: &u32| if is_affected(slot) { is_inside(world, slot) } else { was_inside(slot) };
             slots.into_par_iter().with_min_len(256).filter(is_inside).collect()
         };
         let kept = |placed: &Placed, invalid: &[u32]| {
@@ -70,12 +89,14 @@ impl Validity {
             let range = old.of_object.get(&placed.key)?;
             (!is_new(&slots.start) && old.invalid_of(slots) == invalid).then(|| &old.fills[range.clone()])
         };
-        Validity::from_invalid(world, inside, kept)
+        let behind = old.behind.iter().copied().filter(|slot| !is_affected(*slot)).collect();
+        Validity::from_invalid(world, behind, inside, kept)
     }
 
     /// `inside` tells the invalid slots of an object, ascending, and `kept` its fills where they are known.
     fn from_invalid<'a>(
         world: &World,
+        behind: Vec<u32>,
         inside: impl Fn(&Placed) -> Vec<u32> + Sync,
         kept: impl Fn(&Placed, &[u32]) -> Option<&'a [Fill]> + Sync,
     ) -> Validity {
@@ -84,11 +105,12 @@ impl Validity {
         invalid.sort_unstable();
         let mut bits = if invalid.is_empty() { Vec::new() } else { vec![0; world.slots().div_ceil(64)] };
         invalid.iter().for_each(|&slot| bits[slot as usize / 64] |= 1 << (slot % 64));
-        let mut validity = Validity { invalid, bits, ..Validity::default() };
+        let mut validity = Validity { invalid, behind, bits, ..Validity::default() };
         let objects = world.placed.par_iter().zip(&by_object).filter(|(_, invalid)| !invalid.is_empty());
         let filled: Vec<(u32, Vec<Fill>)> = objects
             .map(|(placed, invalid)| {
-                let fills = kept(placed, invalid).map_or_else(|| fill_object(placed, &validity), <[Fill]>::to_vec);
+                let fills =
+                    kept(placed, invalid).map_or_else(|| fill_object(world, placed, &validity), <[Fill]>::to_vec);
                 (placed.key, fills)
             })
             .collect();
@@ -112,8 +134,7 @@ impl Validity {
 
     /// The invalid ones among some slots, ascending.
     pub(super) fn invalid_of(&self, slots: &Range<u32>) -> &[u32] {
-        let index = |slot: u32| self.invalid.partition_point(|&s| s < slot);
-        &self.invalid[index(slots.start)..index(slots.end)]
+        part_of(&self.invalid, slots)
     }
 
     /// Whether a slot's value is computed.
@@ -163,56 +184,54 @@ impl World {
     }
 }
 
-/// Whether most rays of an element meet a back that no light comes from.
-fn is_inside(world: &World, slot: u32) -> bool {
-    if world.areas()[slot as usize] <= 0.0 {
-        return false;
-    }
-    let (origin, n) = world.ray_origin(slot as usize);
-    let mut rng = Pcg32::new(0x1551, u64::from(slot));
-    let mut backs = 0;
-    for k in 0..ALL_RAYS {
-        if k == FIRST_RAYS && backs == 0 {
-            return false;
-        }
-        let direction = cosine_hemisphere(n, rng.next_2d());
-        let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
-        if let Some(hit) = world.trees.closest_hit(&ray) {
-            let part = world.space.part(hit.triangle);
-            let back = hit.normal.dot(direction) > 0.0;
-            backs += u32::from(back && (part.solid || !part.double_sided));
-        }
-    }
-    2 * backs > ALL_RAYS
+/// Of ascending slots those in a range.
+fn part_of<'s>(slots: &'s [u32], range: &Range<u32>) -> &'s [u32] {
+    let index = |slot: u32| slots.partition_point(|&s| s < slot);
+    &slots[index(range.start)..index(range.end)]
 }
 
-/// Ring by ring from the valid elements of one object, along its surface.
-fn fill_object(placed: &Placed, validity: &Validity) -> Vec<Fill> {
+/// Ring by ring from the valid elements of one object, along its surface. Each takes the side that is nearest: the mean of
+/// both sides of a wall would be the light of neither.
+fn fill_object(world: &World, placed: &Placed, validity: &Validity) -> Vec<Fill> {
     let n = placed.layout.len() as u32;
-    let first = placed.placement.elements.start;
-    let sides = if placed.with_back { 2 } else { 1 };
     let mut fills = Vec::new();
-    for side in 0..sides {
-        let first = first + side * n;
+    for first in placed.sides() {
         let neighbours = |slot: u32| placed.layout.neighbours_of(slot - first).iter().map(move |other| first + other);
         let mut open: BTreeSet<u32> = validity.invalid_of(&(first..first + n)).iter().copied().collect();
+        // How far behind the surface that hides them those are that are filled.
+        let mut depths: BTreeMap<u32, f32> = BTreeMap::new();
         loop {
-            let ring: Vec<Fill> = open
-                .iter()
-                .filter_map(|&target| {
-                    let known = |s: &u32| !open.contains(s);
-                    let sources: Vec<u32> = neighbours(target).filter(known).collect();
-                    (!sources.is_empty()).then_some(Fill { target, sources })
-                })
-                .collect();
+            let fill = |&target: &u32| {
+                let sources: Vec<u32> = neighbours(target).filter(|source| !open.contains(source)).collect();
+                let depth = |source: &u32| match depths.get(source) {
+                    Some(depth) => depth + distance(world, *source, target),
+                    None => depth_towards(world, *source, target),
+                };
+                let of_sources: Vec<f32> = sources.iter().map(depth).collect();
+                let (nearest, least) = of_sources.iter().copied().enumerate().min_by(|a, b| a.1.total_cmp(&b.1))?;
+                let place = |slot: u32| world.positions()[slot as usize] - world.positions()[target as usize];
+                let there = place(sources[nearest]);
+                let is_beside = |(source, depth): (&u32, &f32)| {
+                    (*source == sources[nearest] || *depth <= 2.0 * least && place(*source).dot(there) > 0.0)
+                        .then_some(*source)
+                };
+                let sources = sources.iter().zip(&of_sources).filter_map(is_beside).collect();
+                Some((Fill { target, sources }, least))
+            };
+            let ring: Vec<(Fill, f32)> = open.iter().filter_map(fill).collect();
             if ring.is_empty() {
                 break;
             }
-            ring.iter().for_each(|f| {
-                open.remove(&f.target);
-            });
-            fills.extend(ring);
+            for (fill, depth) in ring {
+                open.remove(&fill.target);
+                depths.insert(fill.target, depth);
+                fills.push(fill);
+            }
         }
     }
     fills
+}
+
+fn distance(world: &World, a: u32, b: u32) -> f32 {
+    world.positions()[a as usize].distance(world.positions()[b as usize])
 }
