@@ -4,8 +4,9 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::rounds::Estimate;
+use crate::scatter::scatter_of_neighbours;
 use crate::transport::Value;
-use crate::world::Stated;
+use crate::world::{Stated, World};
 
 /// The mean of rounds, per slot, and how they scatter about it.
 pub(crate) struct Accumulator<V> {
@@ -19,6 +20,8 @@ pub(crate) struct Accumulator<V> {
     squares: Vec<f32>,
     /// The same per layer, layers of a slot side by side; empty for one.
     layer_squares: Vec<f32>,
+    /// Variance of the mean, of the whole and per layer, while there is one round alone.
+    guess: Option<(Vec<f32>, Vec<f32>)>,
     samples: u32,
     rounds: u32,
     /// Σ over slots of the variance of the mean, as the last round and the mean of those before it tell it.
@@ -39,6 +42,7 @@ impl<V: Value> Accumulator<V> {
             stated,
             squares: Vec::new(),
             layer_squares: Vec::new(),
+            guess: None,
             samples: 0,
             rounds: 0,
             by_last: 0.0,
@@ -56,6 +60,7 @@ impl<V: Value> Accumulator<V> {
         let (before, layers) = (self.samples, self.weights.len());
         self.samples += samples;
         self.rounds += 1;
+        self.guess = None;
         if before == 0 {
             std::mem::swap(&mut self.mean, light);
             self.squares = vec![0.0; self.mean.direct.len()];
@@ -79,6 +84,22 @@ impl<V: Value> Accumulator<V> {
         (self.by_last, self.by_all) = (added / f64::from(self.samples), all * self.per_square());
     }
 
+    /// Guesses the variance of a first round, which has no other to scatter about.
+    pub(crate) fn guess_variance(&mut self, world: &World) {
+        if self.rounds != 1 {
+            return;
+        }
+        let light = |slot: usize| self.stated.of(self.mean.direct[slot], self.mean.indirect[slot]);
+        let whole = scatter_of_neighbours(world, |slot| light(slot).weighted(&self.weights));
+        let layers = self.weights.len();
+        let mut of_layers = vec![0.0; if layers > 1 { layers * whole.len() } else { 0 }];
+        for layer in 0..layers.min(of_layers.len()) {
+            let variance = scatter_of_neighbours(world, |slot| light(slot).layer(layer));
+            variance.into_iter().enumerate().for_each(|(slot, v)| of_layers[slot * layers + layer] = v);
+        }
+        self.guess = Some((whole, of_layers));
+    }
+
     /// Mean of all rounds.
     pub(crate) fn mean(&self) -> &Estimate<V> {
         &self.mean
@@ -96,8 +117,13 @@ impl<V: Value> Accumulator<V> {
 
     /// Variance of the mean of what is stated, mean over RGB: with rounds x_r of n_r samples and variance σ²/n_r,
     /// Σ n_r (x_r − x̄)² / (R − 1) estimates σ², and the mean has σ² / Σ n_r. Low-discrepancy samples do better than 1/n:
-    /// the whole is scaled to what the last round and those before it, which weigh most, say. Zero while nothing is known.
+    /// the whole is scaled to what the last round and those before it, which weigh most, say. Of one round it is guessed, where
+    /// [`Accumulator::guess_variance`] was asked; else zero while nothing is known.
     pub(crate) fn scatter(&self) -> Scatter<'_> {
+        if let Some((whole, layers)) = &self.guess {
+            let layers = if self.weights.len() > 1 { layers } else { whole };
+            return Scatter { whole, layers, count: self.weights.len(), factor: 1.0 };
+        }
         let factor = if self.knows_variance() { (self.per_square() * self.scale()) as f32 } else { 0.0 };
         let layers = if self.weights.len() > 1 { &self.layer_squares } else { &self.squares };
         Scatter { whole: &self.squares, layers, count: self.weights.len(), factor }

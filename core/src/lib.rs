@@ -27,6 +27,7 @@ mod refine;
 pub mod render;
 mod rounds;
 pub mod sampling;
+mod scatter;
 pub mod scene;
 mod solve;
 mod space;

@@ -41,7 +41,6 @@ pub(crate) fn refine_with(
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
     let seed = subseed(seed, 0x4ef1);
     let improve = |new: LightMap| {
-        // A first round alone cannot tell its variance.
         if new.variance.iter().any(|v| *v > 0.0) { blend(world, map, new) } else { map.clone() }
     };
     let goal = Goal { budget, importance: &Importance::default(), seed, estimates: false };

@@ -224,10 +224,9 @@ impl Rounds<'_> {
             let begin = |pass, fraction| observer.progress(&progress(pass, samples, fraction));
             round(&Round { samples, seed: subseed(self.seed, index), sum: &sum, begin: &begin }, &mut light)?;
             sum.add(samples, &mut light);
+            sum.guess_variance(self.world);
             let map = Arc::new(compose(&sum));
-            if sum.knows_variance() {
-                estimated_rmse = stated(&map);
-            }
+            estimated_rmse = stated(&map);
             let done = Progress {
                 pass: Pass::FinalGather,
                 samples_per_element: if phase == Phase::Part { 0 } else { sum.samples() },
@@ -239,7 +238,8 @@ impl Rounds<'_> {
             observer.progress(&done);
             observer.snapshot(&map, &done);
             let reached = matches!((budget.target_rmse, estimated_rmse), (Some(target), Some(rmse)) if rmse <= target);
-            let enough = reached || enough(&sum);
+            // A guess ends nothing.
+            let enough = reached && sum.knows_variance() || enough(&sum);
             last = Some(map);
             if enough {
                 break;

@@ -22,18 +22,25 @@ const MAX_LIGHTS: usize = 32;
 /// Everything that pixels share.
 pub(super) struct Shading<'a> {
     world: &'a World,
-    map: &'a LightMap,
     view: View,
     /// Per part: emitted radiance.
     emission: Vec<Vec3>,
-    /// Direct + indirect; empty where no view needs it.
+    /// Direct + indirect, as it is delivered; empty where no view needs it.
     totals: Vec<Vec3>,
+    /// Indirect light, likewise.
+    indirect: Vec<Vec3>,
 }
 
 impl<'a> Shading<'a> {
-    pub(super) fn new(world: &'a World, map: &'a LightMap, view: View) -> Shading<'a> {
-        let totals = if view == View::Direct { Vec::new() } else { (0..map.len()).map(|i| map.total(i)).collect() };
-        Shading { world, map, view, emission: emission_of_parts(world), totals }
+    pub(super) fn new(world: &'a World, map: &LightMap, view: View) -> Shading<'a> {
+        let looks_up = view != View::Direct;
+        let mut totals: Vec<Vec3> = (0..map.len()).filter(|_| looks_up).map(|i| map.total(i)).collect();
+        let mut indirect = if looks_up { map.indirect.clone() } else { Vec::new() };
+        if looks_up {
+            world.without_negative(&mut totals);
+            world.without_negative(&mut indirect);
+        }
+        Shading { world, view, emission: emission_of_parts(world), totals, indirect }
     }
 
     /// Mean radiance of a pixel.
@@ -100,7 +107,7 @@ impl<'a> Shading<'a> {
     /// irradiance / π after at least one bounce: from the map, or by one gather where a back has no elements.
     fn indirect(&self, surfel: &Surfel, rng: &mut Pcg32) -> Vec3 {
         if let Some(footprint) = surfel.footprint {
-            return footprint.interpolate(&self.map.indirect);
+            return footprint.interpolate(&self.indirect);
         }
         let rough = Rough::default();
         let field = Field { total: &self.totals, direct: &self.totals, rough: &rough };

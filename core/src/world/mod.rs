@@ -7,6 +7,7 @@ mod buried;
 mod check;
 mod choice;
 mod coarse;
+mod delivered;
 mod emitters;
 mod info;
 mod lights;

@@ -90,8 +90,8 @@ pub(crate) struct Published {
     /// Stated error: area-weighted RMSE, where it is known. Light that was carried over keeps the old one.
     pub(crate) estimated_rmse: Option<f32>,
     mode: Mode,
-    /// Direct + indirect, where that is what is published.
-    totals: Option<Vec<Vec3>>,
+    /// What is delivered in the scene's mode: nowhere negative.
+    delivered: Vec<Vec3>,
     /// The layers of the map, in its order.
     pub(crate) layers: Vec<PublishedLayer>,
     /// Per slot: the version that last changed its value.
@@ -111,7 +111,7 @@ impl Published {
             objects: Arc::default(),
             estimated_rmse: None,
             mode,
-            totals: (mode == Mode::Full).then(|| vec![Vec3::ZERO; slots]),
+            delivered: vec![Vec3::ZERO; slots],
             layers: Vec::new(),
             changed: vec![0; slots].into(),
             lineage: Arc::default(),
@@ -138,11 +138,11 @@ impl Published {
         Published {
             version,
             elements_version,
+            delivered: delivered(&world, &map, mode.into()),
             world,
             objects: Arc::default(),
             estimated_rmse,
             mode,
-            totals: (mode == Mode::Full).then(|| totals(&map)),
             layers: PublishedLayer::first(&map, &weights, version),
             changed,
             lineage: Arc::new(lineage),
@@ -190,21 +190,17 @@ impl Published {
         };
         assert_eq!(map.len(), world.slots(), "a light map has one value per slot");
         assert!(map.len() >= self.map.len(), "slots are never taken away");
-        let totals = match self.mode {
-            Mode::Full => Some(totals(&map)),
-            Mode::Indirect => None,
-        };
         assert_eq!(map.layers.len(), weights.len(), "every layer has a weight");
         let mut next = Published {
             layers: PublishedLayer::next(&self.layers, &map, weights, self.mode.into(), version),
             version,
             elements_version,
+            delivered: delivered(&world, &map, self.mode.into()),
             world,
             map,
             objects,
             estimated_rmse,
             mode: self.mode,
-            totals,
             changed: Arc::default(),
             lineage: self.lineage.clone(),
         };
@@ -229,7 +225,7 @@ impl Published {
 
     /// One value per slot, in the scene's mode.
     pub(crate) fn values(&self) -> &[Vec3] {
-        self.totals.as_deref().unwrap_or(&self.map.indirect)
+        &self.delivered
     }
 
     /// What the layers count in the map.
@@ -239,14 +235,7 @@ impl Published {
 
     /// One value per slot of a part of the light.
     pub(crate) fn part(&self, part: Part) -> Cow<'_, [Vec3]> {
-        if part == self.mode.into() {
-            return self.values().into();
-        }
-        match part {
-            Part::Full => totals(&self.map).into(),
-            Part::Direct => self.map.direct.as_slice().into(),
-            Part::Indirect => self.map.indirect.as_slice().into(),
-        }
+        if part == self.mode.into() { self.values().into() } else { delivered(&self.world, &self.map, part).into() }
     }
 
     /// The layer of that name.
@@ -269,8 +258,7 @@ impl Published {
 
     /// Bytes of the map and what is kept beside it.
     pub(crate) fn memory_bytes(&self) -> usize {
-        let totals = if self.totals.is_some() { size_of::<Vec3>() } else { 0 };
-        let per_slot = VALUE_BYTES + size_of::<u64>() + totals;
+        let per_slot = VALUE_BYTES + size_of::<u64>() + size_of::<Vec3>();
         self.map.len() * per_slot + self.layer_bytes()
     }
 
@@ -280,8 +268,15 @@ impl Published {
     }
 }
 
-fn totals(map: &LightMap) -> Vec<Vec3> {
-    map.direct.iter().zip(&map.indirect).map(|(direct, indirect)| *direct + *indirect).collect()
+/// A part of the light as it is delivered: nowhere negative.
+fn delivered(world: &World, map: &LightMap, part: Part) -> Vec<Vec3> {
+    let mut values = match part {
+        Part::Full => (0..map.len()).map(|slot| map.total(slot)).collect(),
+        Part::Direct => map.direct.clone(),
+        Part::Indirect => map.indirect.clone(),
+    };
+    world.without_negative(&mut values);
+    values
 }
 
 #[cfg(test)]
