@@ -7,7 +7,7 @@ use glam::{DMat4, DQuat, DVec3, Vec3};
 
 use super::build::total_area;
 use super::*;
-use crate::scene::{LoadLimits, Material, Mesh, Object, Scene, load_glb};
+use crate::scene::{LoadLimits, Material, Mesh, Object, Scene, load};
 
 const WHITE: Material = Material { albedo: Vec3::ONE, emission: Vec3::ZERO, double_sided: false };
 const LIMIT: usize = 1_000_000;
@@ -256,7 +256,7 @@ fn real_scenes_are_loaded_and_subdivided() {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let bytes = std::fs::read(&path).unwrap();
         let start = std::time::Instant::now();
-        let scene = load_glb(&bytes, &LoadLimits::default()).unwrap_or_else(|error| panic!("{name}: {error}"));
+        let scene = load(&bytes, &LoadLimits::default()).unwrap_or_else(|error| panic!("{name}: {error}"));
         let loaded = start.elapsed();
         let spacing = default_spacing(scene.objects.iter().map(object_area).sum(), DEFAULT_ELEMENTS);
         let start = std::time::Instant::now();
