@@ -92,7 +92,7 @@ impl<'f> Materials<'f> {
         let base = self.base(json, &place, warnings)?;
         let transmission = transmission(json, &place)?;
         let (mut color, mut intensity) = emission(json, &place)?;
-        let factor = color * intensity;
+        let mut factor = color * intensity;
         let is_clear = base.is_transparent() || transmission >= CLEAR;
         let mut emissive = None;
         if is_clear {
@@ -104,9 +104,12 @@ impl<'f> Materials<'f> {
             color = Vec3::ZERO;
         } else if let Some(info) = json.emissive_texture.as_ref().filter(|_| color != Vec3::ZERO) {
             emissive = self.textures.get(info, AlphaUse::Ignored, "emissive", &place, warnings)?;
-            color *= emissive.as_ref().map_or(Vec3::splat(MID_GREY), |texture| texture.texture.mean().color);
-            if emissive.is_some() {
-                warnings.add("emissive textures count with their mean colour", &place);
+            match &emissive {
+                Some(texture) => {
+                    color *= texture.texture.mean().color;
+                    warnings.add("emissive textures count with their mean colour", &place);
+                }
+                None => (color, factor) = (color * MID_GREY, factor * MID_GREY),
             }
         }
         if !factor.is_finite() || factor.max_element() > MAX_STRENGTH {
