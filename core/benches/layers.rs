@@ -17,7 +17,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use glam::{DMat4, DVec3, Vec3};
-use rebake_core::scene::{LightKind, LoadLimits, Material, Mesh, Object, Scene, load_glb};
+use rebake_core::scene::{LightKind, LoadLimits, Material, Mesh, Object, Scene, load};
 use rebake_core::{
     Budget, DragBasis, Edit, LightMap, Observer, Pass, Progress, Relight, Unobserved, World, WorldOptions, bake, update,
 };
@@ -277,7 +277,7 @@ fn only(world: &World, layers: usize, layer: usize) -> World {
 /// A scene that is not the project's own, and where a box is put in it; none where it is not there.
 fn file(folder: &std::path::Path, name: &str, spacing: f32) -> Option<(World, DMat4)> {
     let file = if name == "living-room-2" { "living-room-2.lite.glb".to_owned() } else { format!("{name}.glb") };
-    let scene = load_glb(&std::fs::read(folder.join(file)).ok()?, &LoadLimits::default()).expect("a scene");
+    let scene = load(&std::fs::read(folder.join(file)).ok()?, &LoadLimits::default()).expect("a scene");
     let options = WorldOptions { spacing: Some(spacing), ..WorldOptions::default() };
     let world = World::new(scene, &options).expect("a world");
     if name == "living-room-2" {

@@ -6,10 +6,10 @@ use std::sync::LazyLock;
 use libfuzzer_sys::fuzz_target;
 use rebake::engine::{Scene, World};
 use rebake_core::WorldOptions;
-use rebake_core::scene::{LoadLimits, load_glb};
+use rebake_core::scene::{LoadLimits, load};
 
 fn load(glb: &[u8]) -> Scene {
-    load_glb(glb, &LoadLimits::default()).expect("a seed is a scene")
+    load(glb, &LoadLimits::default()).expect("a seed is a scene")
 }
 
 static ROOM: LazyLock<World> = LazyLock::new(|| {

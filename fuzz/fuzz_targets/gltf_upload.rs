@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rebake_core::scene::{LoadLimits, load_glb};
+use rebake_core::scene::{LoadLimits, load};
 use rebake_core::{World, WorldOptions};
 
 fuzz_target!(|data: &[u8]| {
@@ -18,7 +18,7 @@ fuzz_target!(|data: &[u8]| {
         max_total_texture_pixels: 1 << 18,
         ..LoadLimits::default()
     };
-    if let Ok(scene) = load_glb(data, &limits) {
+    if let Ok(scene) = load(data, &limits) {
         let options = WorldOptions { spacing: Some(1.0), max_elements: 5000, max_triangles: 10_000 };
         let _ = World::new(scene, &options);
     }

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use glam::{DMat4, DVec3, Vec3};
 use rebake_core::export::{EXR_WIDTH, write_exr};
 pub(crate) use rebake_core::layers::{Layer, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER};
-use rebake_core::scene::{Light, LightKind, LoadLimits, load_glb};
+use rebake_core::scene::{self, Light, LightKind, LoadLimits};
 pub use rebake_core::scene::{LoadError, Scene};
 pub use rebake_core::surface::SurfaceError;
 pub use rebake_core::{
@@ -83,11 +83,26 @@ pub struct CoreEngine;
 
 impl Engine for CoreEngine {}
 
-/// Reads an uploaded file.
-pub(crate) fn load(glb: &[u8], limits: &Limits) -> Result<Scene, LoadError> {
-    let limits =
-        LoadLimits { max_bytes: limits.upload_bytes, max_triangles: limits.triangles, ..LoadLimits::default() };
-    load_glb(glb, &limits)
+/// Reads an uploaded file. Albedos above `max_albedo` count as that; where it is not given, above the default.
+pub(crate) fn load(file: &[u8], limits: &Limits, max_albedo: Option<f32>) -> Result<Scene, LoadError> {
+    let default = LoadLimits::default();
+    let limits = LoadLimits {
+        max_bytes: limits.upload_bytes,
+        max_triangles: limits.triangles,
+        max_albedo: max_albedo.unwrap_or(default.max_albedo),
+        ..default
+    };
+    let mut scene = scene::load(file, &limits)?;
+    if limits.max_albedo > LoadLimits::default().max_albedo {
+        // Light of a closed room is down to a thousandth after as many bounces.
+        let bounces = (1e-3_f32.ln() / limits.max_albedo.ln()).ceil();
+        scene.warnings.push(format!(
+            "max_albedo is {}: in closed rooms of such materials light takes up to {bounces} bounces to end, and a bake \
+             as much longer",
+            limits.max_albedo
+        ));
+    }
+    Ok(scene)
 }
 
 /// Mean light of a map over the scene's area, mean over RGB.
@@ -122,15 +137,7 @@ pub(crate) fn build(scene: Scene, spacing: Option<f32>, stated: Stated, limits: 
 
 /// A world without anything in it: what is shown of a scene that cannot be built.
 pub(crate) fn empty_world(spacing: f32) -> World {
-    let scene = Scene {
-        origin: DVec3::ZERO,
-        objects: Vec::new(),
-        lights: Vec::new(),
-        groups: BTreeMap::new(),
-        cameras: Vec::new(),
-        warnings: Vec::new(),
-        degenerate_triangles: 0,
-    };
+    let scene = Scene::from_objects(Vec::new());
     let options = rebake_core::WorldOptions { spacing: Some(spacing), ..rebake_core::WorldOptions::default() };
     // Nothing can be too large or malformed.
     World::new(scene, &options).expect("an empty scene can be built")

@@ -59,7 +59,7 @@ pub(crate) fn restore(app: &Arc<App>, disk: &Disk, saved: Saved) {
 
 fn restore_asset(app: &App, disk: &Disk, id: &str) -> Result<(), StoreError> {
     let glb = disk.asset(id)?;
-    let scene = engine::load(&glb, &app.config.limits)
+    let scene = engine::load(&glb, &app.config.limits, None)
         .map_err(|error| StoreError::damaged("it cannot be read any more", error))?;
     let full = |_| StoreError::damaged("there is no room for it any more", id);
     app.assets.insert(id.to_owned(), scene, glb.len()).map(drop).map_err(full)
@@ -112,10 +112,11 @@ fn rebuild(app: &App, disk: &Disk, saved: &SavedScene) -> Result<(SceneEntry, bo
 
 fn build(app: &App, glb: &[u8], record: &SceneRecord) -> Result<World, StoreError> {
     let unreadable = |error: &dyn std::fmt::Display| StoreError::damaged("the upload cannot be read any more", error);
-    let mut scene = engine::load(glb, &app.config.limits).map_err(|error| unreadable(&error))?;
+    let mut scene = engine::load(glb, &app.config.limits, record.max_albedo).map_err(|error| unreadable(&error))?;
     if let Some(radiance) = record.environment {
         engine::add_environment(&mut scene, Vec3::from_array(radiance));
     }
+    scene.warn_where_dark();
     scene.groups = record.groups.clone();
     engine::build(scene, Some(record.spacing), record.mode.stated(), &app.config.limits)
         .map_err(|error| unreadable(&error))
@@ -203,6 +204,7 @@ fn damaged(app: &App, saved: &SavedScene, error: &StoreError) -> SceneEntry {
         mode: Mode::Full,
         spacing: 1.0,
         environment: None,
+        max_albedo: None,
         groups: BTreeMap::new(),
         created_at: Timestamp::UNIX_EPOCH,
     });

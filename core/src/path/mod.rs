@@ -123,7 +123,7 @@ fn path(lights: &Lights, mut n: Vec3, mut ray: Ray, rng: &mut Pcg32, rays: &mut 
             None => world.emitters.environment,
         };
         *(if depth == 1 { &mut direct } else { &mut indirect }) += beta * emitted;
-        let Some((surfel, _)) = hit.and_then(|hit| Surfel::reflecting(world, &ray, &hit)) else { break };
+        let Some(surfel) = hit.and_then(|hit| Surfel::without_light(world, &ray, &hit)) else { break };
         beta *= surfel.albedo;
         if beta == Vec3::ZERO {
             break;

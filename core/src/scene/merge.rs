@@ -14,16 +14,18 @@ use super::{Light, LightKind, Mesh, Object, Scene};
 /// Positions become `f32` in the asset's world space: an asset belongs near its zero.
 pub fn merge_as_object(asset: &Scene, name: &str) -> (Object, Vec<Light>) {
     let mut mesh = Mesh::default();
-    let mut materials = Vec::new();
+    let (mut materials, mut looks) = (Vec::new(), Vec::new());
     // Of each object: where its materials begin in the merged list.
     let mut first_material = Vec::new();
     for object in &asset.objects {
         let first = materials.len() as u32;
         first_material.push((object.name.as_str(), first));
         append(&mut mesh, object, first);
+        extend(&mut looks, &object.looks, materials.len(), object.materials.len(), None);
         materials.extend_from_slice(&object.materials);
     }
-    let object = Object { name: name.to_owned(), mesh: Arc::new(mesh), materials, world_from_object: DMat4::IDENTITY };
+    let object =
+        Object { name: name.to_owned(), mesh: Arc::new(mesh), materials, looks, world_from_object: DMat4::IDENTITY };
     let mut names = UniqueNames::default();
     let (mut emissive, mut punctual) = (Vec::new(), Vec::new());
     for light in &asset.lights {
@@ -57,11 +59,24 @@ fn append(mesh: &mut Mesh, object: &Object, first_material: u32) {
     let turn = |normal: &glam::Vec3| (normal_matrix * normal.as_dvec3()).normalize_or_zero().as_vec3();
     mesh.normals.extend(source.normals.iter().map(turn));
     mesh.normals.resize(mesh.positions.len(), glam::Vec3::ZERO);
+    for (set, of_source) in mesh.texcoords.iter_mut().zip(&source.texcoords) {
+        extend(set, of_source, first as usize, source.positions.len(), glam::Vec2::ZERO);
+    }
+    extend(&mut mesh.colors, &source.colors, first as usize, source.positions.len(), glam::Vec4::ONE);
     mesh.triangles.extend(source.triangles.iter().map(|&[a, b, c]| {
         let triangle = if mirrors { [a, c, b] } else { [a, b, c] };
         triangle.map(|corner| first + corner)
     }));
     mesh.triangle_materials.extend(source.triangle_materials.iter().map(|material| first_material + material));
+}
+
+/// Appends `count` values from `first` on, which some objects lack; where all lack them the list stays empty.
+fn extend<T: Clone>(list: &mut Vec<T>, values: &[T], first: usize, count: usize, absent: T) {
+    if !(list.is_empty() && values.is_empty()) {
+        list.resize(first, absent.clone());
+        list.extend_from_slice(values);
+        list.resize(first + count, absent);
+    }
 }
 
 #[cfg(test)]

@@ -5,18 +5,22 @@
 
 mod gltf;
 mod light;
+mod look;
 mod merge;
 mod names;
 mod primitives;
+mod texture;
 
-pub use self::gltf::{LoadError, LoadLimits, load_glb};
+pub use self::gltf::{LoadError, LoadLimits, load, load_path};
 pub use self::light::{Light, LightKind};
+pub use self::look::{AlphaMode, Look};
 pub use self::merge::merge_as_object;
+pub use self::texture::{AlphaUse, Texture, TextureMean, TextureUse, Wrap};
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use glam::{DMat4, DVec3, Vec3};
+use glam::{DMat4, DVec3, Vec2, Vec3, Vec4};
 
 /// A scene without its light map. Cheap to clone: geometry is shared.
 #[derive(Clone, Debug)]
@@ -29,6 +33,9 @@ pub struct Scene {
     pub lights: Vec<Light>,
     /// Names of lights that shall share a layer of the light map, with the name of that layer.
     pub groups: BTreeMap<String, String>,
+    /// Names of punctual lights whose nodes lie under an object's node in the file (or that came with an inserted
+    /// object), with the name of that object.
+    pub light_parents: BTreeMap<String, String>,
     /// Cameras of the file, in its order.
     pub cameras: Vec<Camera>,
     /// What the file asked for and did not get, in words for a person.
@@ -46,6 +53,8 @@ pub struct Object {
     pub mesh: Arc<Mesh>,
     /// Materials, indexed by [`Mesh::triangle_materials`].
     pub materials: Vec<Material>,
+    /// Per material: what varies from place to place; absent where the material says all. Empty where all are absent.
+    pub looks: Vec<Option<Arc<Look>>>,
     /// Object space to world space (not scene space), metres.
     pub world_from_object: DMat4,
 }
@@ -62,12 +71,17 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
     /// Per triangle: index into [`Object::materials`].
     pub triangle_materials: Vec<u32>,
+    /// Two sets of texture coordinates per vertex, u to the right, v down; empty where no material reads them.
+    pub texcoords: [Vec<Vec2>; 2],
+    /// Linear RGBA per vertex, which multiplies the base colour; empty where the file has none.
+    pub colors: Vec<Vec4>,
 }
 
 /// A diffuse material.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Material {
-    /// Diffuse albedo, linear RGB, each in 0..=1.
+    /// Diffuse albedo, linear RGB, each in 0..=1: the mean over the material's textures, capped at
+    /// [`LoadLimits::max_albedo`].
     pub albedo: Vec3,
     /// Emitted radiance at upload, linear RGB. The radiance in force is the strength of the [`Light`] of this material.
     pub emission: Vec3,

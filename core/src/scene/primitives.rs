@@ -70,6 +70,7 @@ impl Mesh {
             normals: directions,
             triangle_materials: vec![0; triangles.len()],
             triangles,
+            ..Self::default()
         }
     }
 
@@ -123,7 +124,13 @@ fn icosahedron() -> (Vec<Vec3>, Vec<[u32; 3]>) {
 impl Object {
     /// An object of one material whose object space is world space.
     pub fn new(name: impl Into<String>, mesh: Mesh, material: Material) -> Self {
-        Self { name: name.into(), mesh: Arc::new(mesh), materials: vec![material], world_from_object: DMat4::IDENTITY }
+        Self {
+            name: name.into(),
+            mesh: Arc::new(mesh),
+            materials: vec![material],
+            looks: Vec::new(),
+            world_from_object: DMat4::IDENTITY,
+        }
     }
 
     /// The same object elsewhere.
@@ -132,7 +139,7 @@ impl Object {
         Self { world_from_object, ..self }
     }
 
-    /// A light per emissive material, named as [`super::load_glb`] names them: the object's name, further ones
+    /// A light per emissive material, named as [`super::load`] names them: the object's name, further ones
     /// `name/2`, `name/3`, …. Colour: the emission divided by its largest part; intensity: that part.
     pub fn emissive_lights(&self) -> Vec<Light> {
         let emissive = self.materials.iter().enumerate().filter(|(_, material)| material.emission != Vec3::ZERO);
@@ -156,10 +163,20 @@ impl Scene {
             origin: glam::DVec3::ZERO,
             lights: objects.iter().flat_map(Object::emissive_lights).collect(),
             objects,
-            groups: std::collections::BTreeMap::new(),
+            groups: BTreeMap::new(),
+            light_parents: BTreeMap::new(),
             cameras: Vec::new(),
             warnings: Vec::new(),
             degenerate_triangles: 0,
+        }
+    }
+
+    /// Adds a warning where there is no light at all.
+    pub fn warn_where_dark(&mut self) {
+        if self.lights.is_empty() {
+            let text =
+                "the scene has no light, so its light map is black: add lamps, or light from outside (environment)";
+            self.warnings.push(text.to_owned());
         }
     }
 

@@ -1,5 +1,7 @@
 //! What a look-up reads.
 
+use glam::Vec3;
+
 /// The slots that hold the light of a point, and their weights, which sum to 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Footprint {
@@ -16,6 +18,8 @@ pub(crate) struct Spot {
     pub cell: u32,
     /// Element slots there; none where the side has no elements.
     pub footprint: Option<Footprint>,
+    /// Diffuse albedo.
+    pub albedo: Vec3,
 }
 
 impl Footprint {
@@ -82,8 +86,6 @@ impl Footprint {
 
 #[cfg(test)]
 mod tests {
-    use glam::Vec3;
-
     use super::*;
 
     #[test]

@@ -7,7 +7,7 @@ use super::elements::sample_points;
 use super::neighbours::Neighbours;
 use super::subdivide::{Subdivided, subdivide};
 use crate::order::along_curve;
-use crate::surface::{Surface, SurfaceError, moved_normals, moved_points, triangle_area};
+use crate::surface::{Surface, SurfaceError, barycentrics, moved_normals, moved_points, triangle_area};
 
 /// How the elements of one side of a surface are laid out. The same wherever the surface is moved.
 #[derive(Clone, Debug, Default)]
@@ -50,13 +50,6 @@ fn raise(surface: &Surface, cells: &Cells, positions: &mut [Vec3]) {
         };
         positions[element] = point + vertices.into_iter().zip(weights).map(lift).sum::<Vec3>();
     }
-}
-
-/// Weights of the corners of a triangle at a point in its plane, none below zero.
-fn barycentrics(point: Vec3, [a, b, c]: [Vec3; 3]) -> [f32; 3] {
-    let n = (b - a).cross(c - a);
-    let part = |p: Vec3, q: Vec3| ((p - point).cross(q - point).dot(n) / n.length_squared()).max(0.0);
-    [part(b, c), part(c, a), part(a, b)]
 }
 
 impl Elements {

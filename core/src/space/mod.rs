@@ -4,6 +4,7 @@
 //! is seen there, too. [`Space`] answers for a hit which slots hold the light there, with what weights, and how much is
 //! reflected. Nothing outside of this module knows how elements are laid out: a layout answers [`layout::Layout`]'s questions.
 
+mod albedo;
 mod cells;
 mod elements;
 mod footprint;
@@ -17,6 +18,7 @@ mod subdivide;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use albedo::albedos;
 pub(crate) use cells::Patch;
 pub(crate) use footprint::{Footprint, Spot};
 pub(crate) use layout::{Elements, Layout};
@@ -65,6 +67,7 @@ impl Space {
     pub(crate) fn place(
         &mut self,
         (surface, layout, elements): (&Surface, &Arc<Layout>, &Elements),
+        albedos: Option<&Arc<[Vec3]>>,
         materials: impl ExactSizeIterator<Item = (Vec3, bool)>,
         key: u32,
         with_back: bool,
@@ -77,6 +80,7 @@ impl Space {
         let first_face = faces.take(surface.triangles.len());
         let part = |(albedo, double_sided)| Part {
             albedo,
+            albedos: albedos.cloned(),
             object: key,
             extent,
             double_sided,
@@ -168,8 +172,15 @@ impl Space {
             (true, 0) => None,
             (true, offset) => Some(part.first_slot + offset),
         };
+        let albedo = match &part.albedos {
+            None => part.albedo,
+            Some(albedos) => {
+                let at = |(element, weight): (u32, f32)| albedos[element as usize] * weight;
+                place.elements.into_iter().zip(place.weights).map(at).sum()
+            }
+        };
         let footprint = first.map(|first| Footprint::of_triangle(place.elements.map(|e| e + first), place.weights));
-        Spot { cell: part.first_cell + place.cell, footprint }
+        Spot { cell: part.first_cell + place.cell, footprint, albedo }
     }
 
     /// Ids of cells are below this.

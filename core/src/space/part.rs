@@ -10,8 +10,10 @@ use super::slots::NO_OBJECT;
 /// The triangles of one object that share a material.
 #[derive(Clone, Debug)]
 pub(crate) struct Part {
-    /// Diffuse albedo.
+    /// Diffuse albedo, where it is the same all over; its mean elsewhere.
     pub albedo: Vec3,
+    /// Per element of one side of the object, where it is not.
+    pub albedos: Option<Arc<[Vec3]>>,
     /// Key of the object; [`super::NO_OBJECT`] where the part is free.
     pub object: u32,
     /// Of the object's triangles: longest side of their boxes, m.
@@ -36,6 +38,7 @@ impl Part {
     pub(super) fn free() -> Part {
         Part {
             albedo: Vec3::ZERO,
+            albedos: None,
             object: NO_OBJECT,
             extent: 0.0,
             double_sided: false,
@@ -61,6 +64,10 @@ impl PartialEq for Part {
             let places = [part.object, part.first_slot, part.back_offset, part.first_face, part.first_cell];
             (part.albedo, part.double_sided, part.solid, places)
         };
-        of(self) == of(other) && Arc::ptr_eq(&self.layout, &other.layout)
+        let same_albedos = match (&self.albedos, &other.albedos) {
+            (Some(a), Some(b)) => Arc::ptr_eq(a, b),
+            (a, b) => a.is_none() && b.is_none(),
+        };
+        same_albedos && of(self) == of(other) && Arc::ptr_eq(&self.layout, &other.layout)
     }
 }

@@ -82,7 +82,7 @@ fn ellipsoid() -> Mesh {
 
 /// One triangle, without normals.
 fn triangle(corners: [Vec3; 3]) -> Mesh {
-    Mesh { positions: corners.to_vec(), normals: Vec::new(), triangles: vec![[0, 1, 2]], triangle_materials: vec![0] }
+    Mesh { positions: corners.to_vec(), triangles: vec![[0, 1, 2]], triangle_materials: vec![0], ..Mesh::default() }
 }
 
 #[test]
@@ -255,7 +255,8 @@ fn what_is_freed_is_used_again() {
     let layout = Arc::new(laid.layout.clone());
     let place = |space: &mut Space, key| {
         let materials = [(Vec3::ONE, false), (Vec3::ZERO, true)];
-        space.place((&laid.surface, &layout, &laid.elements), materials.into_iter(), key, key % 2 == 1)
+        let parts = (&laid.surface, &layout, &laid.elements);
+        space.place(parts, None, materials.into_iter(), key, key % 2 == 1)
     };
     let mut space = Space::default();
     let first = place(&mut space, 0);

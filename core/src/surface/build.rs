@@ -91,6 +91,13 @@ pub(crate) fn triangle_area([a, b, c]: [Vec3; 3]) -> f64 {
     (b - a).cross(c - a).length() * 0.5
 }
 
+/// Weights of the corners of a triangle at a point in its plane, none below zero.
+pub(crate) fn barycentrics(point: Vec3, [a, b, c]: [Vec3; 3]) -> [f32; 3] {
+    let n = (b - a).cross(c - a);
+    let part = |p: Vec3, q: Vec3| ((p - point).cross(q - point).dot(n) / n.length_squared()).max(0.0);
+    [part(b, c), part(c, a), part(a, b)]
+}
+
 /// Area of an object in world space, m².
 pub fn object_area(object: &Object) -> f64 {
     let corner =

@@ -10,7 +10,7 @@ mod weld;
 
 pub use self::build::{DEFAULT_ELEMENTS, default_spacing, object_area};
 
-pub(crate) use self::build::triangle_area;
+pub(crate) use self::build::{barycentrics, triangle_area};
 pub(crate) use self::place::{moved_normals, moved_points};
 pub(crate) use self::weld::{MIN_COSINE, geometric_normal};
 

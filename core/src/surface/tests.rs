@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{DMat4, DQuat, DVec3, Vec3};
 
 use super::*;
-use crate::scene::{LoadLimits, Material, Mesh, Object, load_glb};
+use crate::scene::{LoadLimits, Material, Mesh, Object, load};
 
 fn white() -> Material {
     Material::diffuse(Vec3::ONE)
@@ -125,7 +125,7 @@ fn real_scenes_have_valid_surfaces() {
     for path in paths {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let bytes = std::fs::read(&path).unwrap();
-        let scene = load_glb(&bytes, &LoadLimits::default()).unwrap_or_else(|error| panic!("{name}: {error}"));
+        let scene = load(&bytes, &LoadLimits::default()).unwrap_or_else(|error| panic!("{name}: {error}"));
         for object in &scene.objects {
             let place = DMat4::from_translation(-scene.origin) * object.world_from_object;
             let surface = Surface::build(object, place).unwrap_or_else(|error| panic!("{name}: {error}"));

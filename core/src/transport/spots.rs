@@ -213,7 +213,11 @@ fn sides<T: Send>(world: &World, placed: &Placed, f: impl Fn(f32, Target) -> Opt
     let of_cell = |patch: &Patch| {
         let corners @ [a, b, c] = patch.corners;
         let area = 0.5 * (b - a).cross(c - a).length();
-        let albedo = parts[placed.surface.triangle_materials[patch.face as usize] as usize].albedo;
+        let part = &parts[placed.surface.triangle_materials[patch.face as usize] as usize];
+        let albedo = match &part.albedos {
+            None => part.albedo,
+            Some(albedos) => patch.elements.map(|e| albedos[e as usize]).into_iter().sum::<Vec3>() / 3.0,
+        };
         let cell = placed.placement.cells.start + patch.cell;
         let side = |(first, back)| {
             let elements = patch.elements.map(|element| first + element);

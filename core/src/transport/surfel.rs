@@ -32,13 +32,24 @@ impl Surfel {
     #[inline]
     pub(crate) fn new(world: &World, ray: &Ray, hit: &Hit) -> Option<Surfel> {
         let (mut surfel, part) = Surfel::reflecting(world, ray, hit)?;
-        Spot { cell: surfel.cell, footprint: surfel.footprint } = world.space.spot(hit, part, surfel.is_back);
+        Spot { cell: surfel.cell, footprint: surfel.footprint, albedo: surfel.albedo } =
+            world.space.spot(hit, part, surfel.is_back);
         Some(surfel)
     }
 
-    /// Resolves a hit whose light nobody looks up: without cell and footprint. Answers its part, too.
+    /// Resolves a hit whose light nobody looks up: without footprint, and quicker where the albedo is the same all over.
     #[inline]
-    pub(crate) fn reflecting<'w>(world: &'w World, ray: &Ray, hit: &Hit) -> Option<(Surfel, &'w Part)> {
+    pub(crate) fn without_light(world: &World, ray: &Ray, hit: &Hit) -> Option<Surfel> {
+        let (mut surfel, part) = Surfel::reflecting(world, ray, hit)?;
+        if part.albedos.is_some() {
+            surfel.albedo = world.space.spot(hit, part, surfel.is_back).albedo;
+        }
+        Some(surfel)
+    }
+
+    /// What is known of a hit from its part alone, and the part.
+    #[inline]
+    fn reflecting<'w>(world: &'w World, ray: &Ray, hit: &Hit) -> Option<(Surfel, &'w Part)> {
         let index = world.space.part_index(hit.triangle);
         let part = &world.space.parts()[index as usize];
         let is_back = hit.normal.dot(ray.direction) > 0.0;

@@ -12,7 +12,7 @@ use super::motion::{is_rigid, move_light, transformed_light};
 use super::{Placed, Transition, Validity, World, WorldError, probe};
 use crate::bvh::{BuildQuality, Bvh, TriangleMask};
 use crate::edit::{Edit, EditError, EditErrorKind, name_matches};
-use crate::scene::{Light, LightKind, merge_as_object};
+use crate::scene::{Light, LightKind, Scene, merge_as_object};
 
 impl World {
     /// Applies edits as a unit. On an error nothing has changed and the error names the field at fault.
@@ -53,6 +53,7 @@ impl Draft {
                 object.world_from_object = *transform;
                 for light in lights {
                     self.check_free_light(&light.name)?;
+                    self.world.scene.light_parents.insert(light.name.clone(), name.clone());
                     self.world.scene.lights.push(transformed_light(light, transform));
                 }
                 self.add_object(object)
@@ -95,6 +96,7 @@ impl Draft {
             Edit::RemoveLight { light } => {
                 let index = self.light_index("light", light)?;
                 self.world.scene.lights.remove(index);
+                self.world.scene.light_parents.remove(light);
                 Ok(())
             }
             Edit::MoveLight { light, position, direction, drag } => {
@@ -166,10 +168,13 @@ impl Draft {
     fn remove_object(&mut self, index: usize) {
         let object = self.world.scene.objects.remove(index);
         let placed = self.world.placed.remove(index);
-        self.world
-            .scene
-            .lights
-            .retain(|l| !matches!(&l.kind, LightKind::Emissive { object: o, .. } if *o == object.name));
+        let Scene { lights, light_parents, .. } = &mut self.world.scene;
+        // Its emissive surfaces go with it, and the lamps that hang on it.
+        lights.retain(|l| match &l.kind {
+            LightKind::Emissive { object: o, .. } => *o != object.name,
+            _ => light_parents.get(&l.name) != Some(&object.name),
+        });
+        light_parents.retain(|_, parent| *parent != object.name);
         self.world.space.clear(&placed.placement);
         self.take_out(&placed);
     }
@@ -195,11 +200,13 @@ impl Draft {
         let mut object = self.world.scene.objects[index].clone();
         let step = *transform * object.world_from_object.inverse();
         object.world_from_object = *transform;
+        self.move_lamps_of(&object.name, &step);
         if !is_rigid(&step) {
             // Another size asks for other elements: the object leaves its slots and comes back in new ones.
-            let lights = self.world.scene.lights.clone();
+            let Scene { lights, light_parents, .. } = self.world.scene.clone();
             self.remove_object(index);
             self.world.scene.lights = lights;
+            self.world.scene.light_parents = light_parents;
             return self.add_object(object);
         }
         let to_scene = DMat4::from_translation(-self.world.scene.origin);
@@ -223,14 +230,42 @@ impl Draft {
         Ok(())
     }
 
+    /// Lamps that hang on an object go where it goes.
+    fn move_lamps_of(&mut self, object: &str, step: &DMat4) {
+        let Scene { lights, light_parents, .. } = &mut self.world.scene;
+        let of_object = |light: &&mut Light| light_parents.get(&light.name).is_some_and(|parent| parent == object);
+        lights.iter_mut().filter(of_object).for_each(|light| *light = transformed_light(light.clone(), step));
+    }
+
     fn repaint(&mut self, name: &str, albedo: Vec3) -> Result<(), EditError> {
         let index = self.object_index(name)?;
         if !albedo.is_finite() || albedo.cmplt(Vec3::ZERO).any() || albedo.cmpgt(Vec3::ONE).any() {
             return Err(invalid("albedo", "must hold three numbers from 0 to 1"));
         }
-        self.world.scene.objects[index].materials.iter_mut().for_each(|m| m.albedo = albedo);
+        let object = &mut self.world.scene.objects[index];
+        object.materials.iter_mut().for_each(|m| m.albedo = albedo);
+        let parts = self.world.space.parts_of(&self.world.placed[index].placement);
+        if parts.iter().any(|part| part.albedos.is_some()) {
+            return self.paint_over(index);
+        }
         let parts = self.world.space.parts_of_mut(&self.world.placed[index].placement);
         parts.iter_mut().for_each(|part| part.albedo = albedo);
+        Ok(())
+    }
+
+    /// Takes the pictures off an object: to its light it is another one in the same place.
+    fn paint_over(&mut self, index: usize) -> Result<(), EditError> {
+        let Scene { lights, light_parents, .. } = self.world.scene.clone();
+        let mut object = self.world.scene.objects[index].clone();
+        object.looks = Vec::new();
+        Arc::make_mut(&mut object.mesh).colors = Vec::new();
+        self.remove_object(index);
+        self.add_object(object)?;
+        // In the list it stays where it was, and what hangs on it stays there, too.
+        let objects = &mut self.world.scene.objects;
+        objects[index..].rotate_right(1);
+        self.world.placed[index..].rotate_right(1);
+        (self.world.scene.lights, self.world.scene.light_parents) = (lights, light_parents);
         Ok(())
     }
 

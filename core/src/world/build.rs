@@ -10,7 +10,7 @@ use super::emitters::EmissiveTriangle;
 use super::{Coarse, Emitters, Placed, Resolution, Trees, Validity, World, WorldError, WorldOptions, probe};
 use crate::bvh::{BuildQuality, Bvh};
 use crate::scene::{Object, Scene};
-use crate::space::{Elements, Layout, Space};
+use crate::space::{Elements, Layout, Space, albedos};
 use crate::surface::{DEFAULT_ELEMENTS, Surface, default_spacing, object_area};
 
 /// Edge of the cells that smooth light is evaluated in, in units of [`Resolution::smooth`].
@@ -73,6 +73,7 @@ pub(super) struct Ready {
     pub layout: Arc<Layout>,
     pub coarse: Arc<Coarse>,
     pub elements: Elements,
+    pub albedos: Option<Arc<[Vec3]>>,
 }
 
 impl Ready {
@@ -86,9 +87,10 @@ impl Ready {
         let error = |source| WorldError::Surface { object: object.name.clone(), source };
         let surface = Surface::build(object, scene_from_object(scene, object)).map_err(error)?;
         let (layout, elements) = Layout::new(&surface, resolution.spacing, options.max_elements).map_err(error)?;
+        let albedos = albedos(object, &surface, &layout).map(Into::into);
         let Elements { positions, normals, areas } = &elements;
         let coarse = Coarse::new(positions, normals, areas, COARSE_RADIUS * resolution.smooth);
-        Ok(Ready { surface: Arc::new(surface), layout: Arc::new(layout), coarse: Arc::new(coarse), elements })
+        Ok(Ready { surface: Arc::new(surface), layout: Arc::new(layout), coarse: Arc::new(coarse), elements, albedos })
     }
 
     /// One that is placed, as it was before it had slots.
@@ -98,14 +100,15 @@ impl Ready {
             layout: Arc::clone(&placed.layout),
             coarse: Arc::clone(&placed.coarse),
             elements: world.space.elements_of(&placed.placement, &placed.layout),
+            albedos: world.space.parts_of(&placed.placement).first().and_then(|part| part.albedos.clone()),
         }
     }
 
     /// Gives it slots.
     pub(super) fn place(self, space: &mut Space, object: &Object, key: u32, with_back: bool) -> Placed {
-        let Ready { surface, layout, coarse, elements } = self;
+        let Ready { surface, layout, coarse, elements, albedos } = self;
         let materials = object.materials.iter().map(|m| (m.albedo, m.double_sided));
-        let placement = space.place((&surface, &layout, &elements), materials, key, with_back);
+        let placement = space.place((&surface, &layout, &elements), albedos.as_ref(), materials, key, with_back);
         Placed { key, surface, layout, coarse, placement, with_back }
     }
 }

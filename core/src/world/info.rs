@@ -46,7 +46,16 @@ impl World {
             let (low, high) = if surface.positions.is_empty() { (place, place) } else { surface.bounds() };
             let (mut albedo, mut area) = (Vec3::ZERO, 0.0);
             let parts = self.space.parts_of(&placed.placement);
-            for ([a, b, c], m) in surface.all_corners().zip(&surface.triangle_materials) {
+            let by_place = parts.first().and_then(|part| part.albedos.as_ref());
+            if let Some(albedos) = by_place {
+                let slots = placed.placement.element_indices();
+                for (here, element) in albedos.iter().zip(&self.areas()[slots]) {
+                    albedo += *here * *element;
+                    area += *element;
+                }
+            }
+            let alike = surface.all_corners().zip(&surface.triangle_materials).filter(|_| by_place.is_none());
+            for ([a, b, c], m) in alike {
                 let weight = (b - a).cross(c - a).length();
                 albedo += parts[*m as usize].albedo * weight;
                 area += weight;

@@ -243,6 +243,11 @@ impl World {
         let of_object = |p: &Arc<Placed>| p.surface.memory_bytes() + p.layout.memory_bytes() + p.coarse.memory_bytes();
         let objects: usize = self.placed.iter().map(of_object).sum();
         let sight: usize = self.sight.values().map(|hidden| hidden.memory_bytes()).sum();
+        let albedos = |p: &Arc<Placed>| -> usize {
+            let parts = self.space.parts_of(&p.placement);
+            parts.first().and_then(|part| part.albedos.as_ref()).map_or(0, |albedos| size_of_val(&**albedos))
+        };
+        let objects = objects + self.placed.iter().map(albedos).sum::<usize>();
         self.space.memory_bytes() + self.trees.memory_bytes() + self.validity.memory_bytes() + sight + objects
     }
 

@@ -57,6 +57,43 @@ pub(super) fn is_rigid(m: &DMat4) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::edit::Edit;
+    use crate::scene::{Material, Mesh, Object, Scene};
+    use crate::world::{World, WorldOptions};
+
+    /// A lamp of an inserted asset moves with it, rigidly or not, and goes with it; its name is then free again.
+    #[test]
+    fn lamps_follow_the_object_that_they_hang_on() {
+        let quad = |name: &str| {
+            Object::new(name, Mesh::quad(Vec3::ZERO, Vec3::X, Vec3::Y), Material::diffuse(Vec3::splat(0.5)))
+        };
+        let bulb = Light {
+            name: "bulb".into(),
+            kind: LightKind::Point { position: DVec3::new(0.0, 1.0, 0.0), range: None },
+            color: Vec3::ONE,
+            intensity: 1.0,
+        };
+        let asset = std::sync::Arc::new(Scene::from_objects(vec![quad("shade")]).with_light(bulb.clone()));
+        let world = World::new(Scene::from_objects(vec![quad("wall")]).with_light(bulb), &WorldOptions::default());
+        let at = |x: f64| DMat4::from_translation(DVec3::new(x, 0.0, 5.0));
+        let insert = Edit::Insert { asset, name: "lamp".into(), transform: at(1.0) };
+        let world = world.unwrap().apply(std::slice::from_ref(&insert)).unwrap().after;
+        let place = |world: &World| {
+            let light = world.scene.lights.iter().find(|light| light.name == "lamp/bulb")?;
+            if let LightKind::Point { position, .. } = light.kind { Some(position) } else { None }
+        };
+        assert_eq!(place(&world), Some(DVec3::new(1.0, 1.0, 5.0)));
+        let moved = Edit::Move { object: "lamp".into(), transform: at(3.0) };
+        let world = world.apply(&[moved]).unwrap().after;
+        assert_eq!(place(&world), Some(DVec3::new(3.0, 1.0, 5.0)));
+        let scaled = Edit::Move { object: "lamp".into(), transform: at(3.0) * DMat4::from_scale(DVec3::splat(2.0)) };
+        let world = world.apply(&[scaled]).unwrap().after;
+        assert_eq!(place(&world), Some(DVec3::new(3.0, 2.0, 5.0)));
+        let world = world.apply(&[Edit::Remove { objects: vec!["lamp".into()] }]).unwrap().after;
+        let names: Vec<&str> = world.scene.lights.iter().map(|light| light.name.as_str()).collect();
+        assert_eq!(names, ["bulb"]);
+        assert!(world.apply(&[insert]).is_ok());
+    }
 
     #[test]
     fn rigid_motions_are_told_from_scalings_and_mirrors() {

@@ -45,7 +45,7 @@ impl World {
         let ((a, materials), (b, other_materials)) = (a, b);
         let parts = |world: &World, placed: &Placed, material: usize| {
             let part = &world.space.parts_of(&placed.placement)[material];
-            (part.albedo, part.double_sided, part.solid, part.has_back())
+            (part.albedo, part.albedos.clone(), part.double_sided, part.solid, part.has_back())
         };
         a.placement.elements == b.placement.elements
             && materials == other_materials

@@ -111,7 +111,7 @@ impl World {
         if behind == world.validity.behind() {
             return;
         }
-        let validity = Arc::new(world.validity.with_behind(world, behind));
+        let validity = Arc::new(world.validity.with_behind(world, &behind));
         let is_behind = |slot: u32| validity.behind().binary_search(&slot).is_ok();
         let cells = |placed: &Arc<Placed>| -> Vec<(u32, bool)> {
             placed.layout.of_cells(&placed.surface, |patch| {

@@ -46,11 +46,11 @@ impl Validity {
     }
 
     /// This validity with other elements behind surfaces, ascending.
-    pub(super) fn with_behind(&self, world: &World, behind: Vec<u32>) -> Validity {
+    pub(super) fn with_behind(&self, world: &World, behind: &[u32]) -> Validity {
         let all = |placed: &Placed| {
             let slots = &placed.placement.elements;
             let inside = self.invalid_of(slots).iter().filter(|slot| self.behind.binary_search(slot).is_err());
-            let mut all: Vec<u32> = inside.copied().chain(part_of(&behind, slots).iter().copied()).collect();
+            let mut all: Vec<u32> = inside.copied().chain(part_of(behind, slots).iter().copied()).collect();
             all.sort_unstable();
             all.dedup();
             all
@@ -59,7 +59,7 @@ impl Validity {
             let range = self.of_object.get(&placed.key)?;
             (self.invalid_of(&placed.placement.elements) == invalid).then(|| &self.fills[range.clone()])
         };
-        Validity::from_invalid(world, behind.clone(), all, kept)
+        Validity::from_invalid(world, behind.to_vec(), all, kept)
     }
 
     /// Elements behind surfaces, ascending.

@@ -15,7 +15,7 @@ use crate::store::assets::{Assets, NoRoom};
 /// Uploads an asset to insert later. The same bytes give the same id: 201 the first time, 200 afterwards.
 #[utoipa::path(
     post, path = "/v1/assets", tag = "assets", operation_id = "create_asset",
-    request_body(content = Vec<u8>, content_type = "model/gltf-binary", description = "A `.glb` with everything embedded"),
+    request_body(content = Vec<u8>, content_type = "model/gltf-binary", description = "A `.glb`, or a `.gltf` with its files as a zip archive"),
     responses((status = 201, body = Asset, description = "Uploaded"), (status = 200, body = Asset, description = "Known already"))
 )]
 pub(super) async fn create(State(app): Shared, headers: HeaderMap, body: Body) -> ApiResult<(StatusCode, Json<Asset>)> {
@@ -26,7 +26,7 @@ pub(super) async fn create(State(app): Shared, headers: HeaderMap, body: Body) -
     let its_app = app.clone();
     let add = move || {
         let _permit = permit;
-        let scene = engine::load(&glb, &its_app.config.limits).map_err(uploads::load_problem)?;
+        let scene = engine::load(&glb, &its_app.config.limits, None).map_err(uploads::load_problem)?;
         let id = Assets::id_of(&glb);
         let triangles = scene.objects.iter().map(|object| object.mesh.triangles.len() as u64).sum();
         let asset = Asset { asset: id.clone(), triangles, warnings: scene.warnings.clone() };

@@ -34,7 +34,10 @@ use crate::store::scenes::{NewScene, Reservation, SceneEntry};
 use crate::store::versions::FIRST_RESERVE;
 
 /// Media types of an uploaded file.
-pub(super) const GLB_TYPES: &[&str] = &["model/gltf-binary", "application/octet-stream"];
+pub(super) const GLB_TYPES: &[&str] =
+    &["model/gltf-binary", "model/gltf+json", "application/zip", "application/octet-stream"];
+/// Largest albedo that may be asked for: light halves in 700 bounces.
+const LARGEST_ALBEDO: f32 = 0.999;
 
 /// How to upload a scene.
 #[derive(Debug, Default, Deserialize, IntoParams)]
@@ -53,6 +56,9 @@ pub(super) struct CreateQuery {
     /// Constant radiance from outside, `r,g,b`: adds a light named `environment`.
     #[param(example = "1,1,1")]
     environment: Option<String>,
+    /// Largest albedo, above 0 and up to 0.999: what is above counts as this. 0.95 where absent.
+    #[param(example = 0.99)]
+    max_albedo: Option<f32>,
     /// Which lights have layers of their own in the light map, so that relighting them needs no rays: `shared` (none, the
     /// default; lights that are relit get one then), `each` (every light; at most 15), or a JSON object of layers with
     /// their lights (at most 15; the other lights share one more).
@@ -75,7 +81,7 @@ pub(super) struct CreateQuery {
 /// Uploads a scene and starts its bake.
 #[utoipa::path(
     post, path = "/v1/scenes", tag = "scenes", operation_id = "create_scene", params(CreateQuery),
-    request_body(content = Vec<u8>, content_type = "model/gltf-binary", description = "A `.glb` with everything embedded"),
+    request_body(content = Vec<u8>, content_type = "model/gltf-binary", description = "A `.glb`, or a `.gltf` with its files as a zip archive"),
     responses((status = 201, body = types::Scene, description = "The scene; its bake is `current_job`",
         headers(("Location" = String, description = "Path of the scene"))))
 )]
@@ -118,6 +124,7 @@ fn create_scene(
         mode: options.mode,
         spacing: world.spacing(),
         environment: options.environment.map(|radiance| radiance.to_array()),
+        max_albedo: options.max_albedo,
         groups: world.scene.groups.clone(),
         created_at: Timestamp::now(),
     };
@@ -170,6 +177,7 @@ struct Options {
     spacing: Option<f32>,
     mode: Mode,
     environment: Option<Vec3>,
+    max_albedo: Option<f32>,
     layers: Wanted,
     bake: Option<crate::jobs::observer::JobBudget>,
     priority: JobPriority,
@@ -182,6 +190,10 @@ impl Options {
         if query.spacing.is_some_and(|spacing| !(spacing.is_finite() && spacing > 0.0)) {
             return Err(Problem::field(Kind::InvalidQuery, "spacing", "has to be above 0"));
         }
+        if query.max_albedo.is_some_and(|albedo| !(albedo > 0.0 && albedo <= LARGEST_ALBEDO)) {
+            let reason = format!("has to be above 0 and at most {LARGEST_ALBEDO}");
+            return Err(Problem::field(Kind::InvalidQuery, "max_albedo", reason));
+        }
         let budget = Budget {
             samples_per_element: query.samples_per_element,
             max_seconds: query.max_seconds,
@@ -193,6 +205,7 @@ impl Options {
             spacing: query.spacing,
             mode: query.mode.unwrap_or_default(),
             environment: query.environment.as_deref().map(parse_environment).transpose()?,
+            max_albedo: query.max_albedo,
             layers: query
                 .layers
                 .map_or(Ok(Wanted::Shared), |text| Wanted::parse(&text, app.config.limits.name_chars))?,
@@ -218,13 +231,14 @@ fn parse_environment(text: &str) -> ApiResult<Vec3> {
 
 fn build_world(app: &App, glb: &Bytes, options: &Options) -> ApiResult<World> {
     let (spacing, limits) = (options.spacing, &app.config.limits);
-    let mut scene = engine::load(glb, limits).map_err(load_problem)?;
+    let mut scene = engine::load(glb, limits, options.max_albedo).map_err(load_problem)?;
     if let Some(radiance) = options.environment
         && !engine::add_environment(&mut scene, radiance)
     {
         let reason = "the file has a light named \"environment\" already";
         return Err(Problem::field(Kind::NameTaken, "environment", reason));
     }
+    scene.warn_where_dark();
     scene.groups = options.layers.groups(&scene)?;
     let bytes = memory::estimate(&scene, spacing);
     let of_layers = memory::estimate_layers(bytes, layers::count(&scene, &scene.groups));

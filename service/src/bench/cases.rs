@@ -6,7 +6,7 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail, ensure};
 use glam::{DMat4, Vec3};
 use rebake_core::export::write_scene_glb;
-use rebake_core::scene::{LightKind, LoadLimits, Scene, load_glb};
+use rebake_core::scene::{LightKind, LoadLimits, Scene, load, load_path};
 use rebake_core::{Edit, Transition, World, WorldOptions};
 use serde::Deserialize;
 
@@ -180,14 +180,13 @@ fn matrix(columns: &[f64; 16]) -> DMat4 {
 
 fn load_asset(path: &Path) -> Result<Scene> {
     let cannot = || format!("cannot load {}", path.display());
-    let bytes = std::fs::read(path).with_context(cannot)?;
-    load_glb(&bytes, &LoadLimits::default()).with_context(cannot)
+    load_path(path, &LoadLimits::default()).with_context(cannot)
 }
 
 /// A scene as a service reads it that it is sent to. Transforms are rounded on the way, and where an edge is as long as the
 /// spacing allows the last bit decides how it is cut.
 fn as_uploaded(scene: &Scene) -> Result<Scene> {
-    Ok(load_glb(&write_scene_glb(scene)?, &LoadLimits::default())?)
+    Ok(load(&write_scene_glb(scene)?, &LoadLimits::default())?)
 }
 
 /// Moves objects, with the lights on them, into a scene of their own.

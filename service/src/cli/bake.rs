@@ -11,7 +11,7 @@ use glam::Vec3;
 use indicatif::ProgressBar;
 use rebake::Mode;
 use rebake_core::export::{lightmap_exr, lightmap_glb};
-use rebake_core::scene::{Light, LightKind, LoadLimits, Scene, load_glb};
+use rebake_core::scene::{Light, LightKind, LoadLimits, Scene, load_path};
 use rebake_core::{Budget, LightMap, Observer, Progress, World, WorldOptions};
 
 use super::exit::{self, Interrupted};
@@ -144,11 +144,7 @@ fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
 /// Loads a file, says what it asked for and does not get, and adds light from outside.
 pub(super) fn load_scene(file: &Path, environment: Option<Rgb>) -> anyhow::Result<Scene> {
     let cannot = || format!("cannot load {}", file.display());
-    let glb = std::fs::read(file).with_context(cannot)?;
-    let mut scene = load_glb(&glb, &LoadLimits::default()).with_context(cannot)?;
-    for warning in &scene.warnings {
-        ui::note(&format!("warning: {warning}"));
-    }
+    let mut scene = load_path(file, &LoadLimits::default()).with_context(cannot)?;
     if let Some(Rgb(radiance)) = environment {
         let taken = scene.lights.iter().any(|light| light.name == "environment");
         anyhow::ensure!(!taken, "--environment: the scene has a light of the name \"environment\"");
@@ -156,6 +152,8 @@ pub(super) fn load_scene(file: &Path, environment: Option<Rgb>) -> anyhow::Resul
         let name = "environment".to_owned();
         scene.lights.push(Light { name, kind: LightKind::Environment, color, intensity: 1.0 });
     }
+    scene.warn_where_dark();
+    scene.warnings.iter().for_each(|warning| ui::note(&format!("warning: {warning}")));
     Ok(scene)
 }
 

@@ -271,17 +271,7 @@ mod tests {
         let object = name(dice);
         let number = dice.roll(1000) as f32;
         let transform = DMat4::from_translation(DVec3::splat(f64::from(number)));
-        let asset = || {
-            Arc::new(Scene {
-                origin: DVec3::ZERO,
-                objects: Vec::new(),
-                lights: Vec::new(),
-                groups: BTreeMap::new(),
-                cameras: Vec::new(),
-                warnings: Vec::new(),
-                degenerate_triangles: 0,
-            })
-        };
+        let asset = || Arc::new(Scene::from_objects(Vec::new()));
         match dice.roll(10) {
             9 => Edit::GroupLights { group: Some(name(dice)), lights: vec![object] },
             0 => Edit::Insert { asset: asset(), name: object, transform },

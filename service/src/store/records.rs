@@ -21,6 +21,9 @@ pub(crate) struct SceneRecord {
     /// The spacing in force, also where the client left it open.
     pub(crate) spacing: f32,
     pub(crate) environment: Option<[f32; 3]>,
+    /// Bound on albedos, where the client stated one.
+    #[serde(default)]
+    pub(crate) max_albedo: Option<f32>,
     /// Names of lights with those of their layers.
     #[serde(default)]
     pub(crate) groups: BTreeMap<String, String>,

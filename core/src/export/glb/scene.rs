@@ -1,4 +1,4 @@
-//! A scene back into a file that [`crate::scene::load_glb`] reads.
+//! A scene back into a file that [`crate::scene::load`] reads.
 
 use std::collections::BTreeMap;
 

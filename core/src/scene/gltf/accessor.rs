@@ -1,4 +1,5 @@
-//! Reads accessors. Every range is checked against the binary chunk before a byte is touched.
+//! Reads accessors. Every range is checked against its buffer before a byte is touched, every count before anything is
+//! allocated.
 
 use ::gltf::json;
 use json::accessor::{ComponentType, Type};
@@ -6,6 +7,7 @@ use json::validation::Checked;
 use json::{Accessor, Index};
 
 use super::container::File;
+use super::views::view_bytes;
 use super::{LoadError, malformed};
 
 /// Values of one accessor as they lie in the file.
@@ -17,37 +19,81 @@ struct Layout<'a> {
     count: usize,
 }
 
-/// A vertex attribute: `f32`, or the integer types of `KHR_mesh_quantization`. All finite.
+/// Numbers of `N` components each: `f32`, or integers as `KHR_mesh_quantization` and the core specification allow them
+/// for some attributes (normalised ones become 0..=1 or −1..=1). Not checked to be finite.
+pub(super) fn read_floats<const N: usize>(
+    file: &File<'_>,
+    index: Index<Accessor>,
+    max_count: usize,
+    place: &str,
+) -> Result<Vec<[f32; N]>, LoadError> {
+    let (accessor, component) = expect(file, index, shape_of(N), place)?;
+    let read = float_reader(component, accessor.normalized);
+    let read = read.ok_or_else(|| malformed(place, "has 32-bit integers for fractions"))?;
+    read_all::<f32, N>(file, accessor, component, max_count, place, read)
+}
+
+/// Positions or normals. Integers only where the file uses `KHR_mesh_quantization`. Not checked to be finite.
 pub(super) fn read_vec3(
     file: &File<'_>,
     index: Index<Accessor>,
     max_count: usize,
     place: &str,
 ) -> Result<Vec<[f32; 3]>, LoadError> {
-    let (accessor, component) = expect(file, index, Type::Vec3, place)?;
-    let norm = accessor.normalized;
+    let (_, component) = expect(file, index, Type::Vec3, place)?;
     let quantized = file.root.extensions_used.iter().any(|e| e == "KHR_mesh_quantization");
-    if component != ComponentType::F32 && !quantized {
+    if component != ComponentType::F32 && component != ComponentType::U32 && !quantized {
         return Err(malformed(place, "has integers for coordinates, but the file does not use KHR_mesh_quantization"));
     }
-    let read: fn(&[u8]) -> f32 = match (component, norm) {
-        (ComponentType::F32, _) => |b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]),
-        (ComponentType::I8, false) => |b| f32::from(b[0] as i8),
-        (ComponentType::U8, false) => |b| f32::from(b[0]),
-        (ComponentType::I16, false) => |b| f32::from(i16::from_le_bytes([b[0], b[1]])),
-        (ComponentType::U16, false) => |b| f32::from(u16::from_le_bytes([b[0], b[1]])),
-        (ComponentType::I8, true) => |b| (f32::from(b[0] as i8) / 127.0).max(-1.0),
-        (ComponentType::U8, true) => |b| f32::from(b[0]) / 255.0,
-        (ComponentType::I16, true) => |b| (f32::from(i16::from_le_bytes([b[0], b[1]])) / 32767.0).max(-1.0),
-        (ComponentType::U16, true) => |b| f32::from(u16::from_le_bytes([b[0], b[1]])) / 65535.0,
-        (ComponentType::U32, _) => return Err(malformed(place, "has 32-bit integers for coordinates")),
-    };
-    let values = read_all::<f32, 3>(file, accessor, component, max_count, place, read)?;
-    let is_bad = |value: &[f32; 3]| value.iter().any(|c| !c.is_finite());
-    match values.iter().position(is_bad) {
-        Some(at) => Err(malformed(place, &format!("value {at} is {:?}", values[at]))),
-        None => Ok(values),
+    if component == ComponentType::U32 {
+        return Err(malformed(place, "has 32-bit integers for coordinates"));
     }
+    read_floats(file, index, max_count, place)
+}
+
+/// Colours: RGB or RGBA, `f32` or normalised integers; alpha is 1 where there is none. All finite.
+pub(super) fn read_colors(
+    file: &File<'_>,
+    index: Index<Accessor>,
+    max_count: usize,
+    place: &str,
+) -> Result<Vec<[f32; 4]>, LoadError> {
+    let accessor = file.root.get(index).ok_or_else(|| malformed(place, "its accessor does not exist"))?;
+    let colors = if accessor.type_ == Checked::Valid(Type::Vec4) {
+        read_floats::<4>(file, index, max_count, place)?
+    } else {
+        let colors = read_floats::<3>(file, index, max_count, place)?;
+        colors.into_iter().map(|[r, g, b]| [r, g, b, 1.0]).collect()
+    };
+    require_finite(&colors, place)?;
+    Ok(colors)
+}
+
+/// Joint indices, four a vertex.
+pub(super) fn read_joints(
+    file: &File<'_>,
+    index: Index<Accessor>,
+    max_count: usize,
+    place: &str,
+) -> Result<Vec<[u32; 4]>, LoadError> {
+    let (accessor, component) = expect(file, index, Type::Vec4, place)?;
+    let read = index_reader(component).ok_or_else(|| malformed(place, "joints must be unsigned integers"))?;
+    read_all::<u32, 4>(file, accessor, component, max_count, place, read)
+}
+
+/// 4 × 4 matrices, column by column.
+pub(super) fn read_matrices(
+    file: &File<'_>,
+    index: Index<Accessor>,
+    max_count: usize,
+    place: &str,
+) -> Result<Vec<[f32; 16]>, LoadError> {
+    let (accessor, component) = expect(file, index, Type::Mat4, place)?;
+    let read = float_reader(component, false).filter(|_| component == ComponentType::F32);
+    let read = read.ok_or_else(|| malformed(place, "matrices must be of f32"))?;
+    let matrices = read_all::<f32, 16>(file, accessor, component, max_count, place, read)?;
+    require_finite(&matrices, place)?;
+    Ok(matrices)
 }
 
 /// Vertex indices of 8, 16 or 32 bits.
@@ -63,6 +109,37 @@ pub(super) fn read_indices(
     Ok(values.into_iter().map(|[value]| value).collect())
 }
 
+/// Refuses values with a number that is not finite.
+pub(super) fn require_finite<const N: usize>(values: &[[f32; N]], place: &str) -> Result<(), LoadError> {
+    match values.iter().position(|value| value.iter().any(|c| !c.is_finite())) {
+        Some(at) => Err(malformed(place, &format!("value {at} is {:?}", values[at]))),
+        None => Ok(()),
+    }
+}
+
+fn shape_of(components: usize) -> Type {
+    match components {
+        1 => Type::Scalar,
+        2 => Type::Vec2,
+        3 => Type::Vec3,
+        _ => Type::Vec4,
+    }
+}
+
+fn float_reader(component: ComponentType, normalized: bool) -> Option<fn(&[u8]) -> f32> {
+    Some(match (component, normalized) {
+        (ComponentType::F32, _) => |b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]),
+        (ComponentType::I8, false) => |b| f32::from(b[0] as i8),
+        (ComponentType::U8, false) => |b| f32::from(b[0]),
+        (ComponentType::I16, false) => |b| f32::from(i16::from_le_bytes([b[0], b[1]])),
+        (ComponentType::U16, false) => |b| f32::from(u16::from_le_bytes([b[0], b[1]])),
+        (ComponentType::I8, true) => |b| (f32::from(b[0] as i8) / 127.0).max(-1.0),
+        (ComponentType::U8, true) => |b| f32::from(b[0]) / 255.0,
+        (ComponentType::I16, true) => |b| (f32::from(i16::from_le_bytes([b[0], b[1]])) / 32767.0).max(-1.0),
+        (ComponentType::U16, true) => |b| f32::from(u16::from_le_bytes([b[0], b[1]])) / 65535.0,
+        (ComponentType::U32, _) => return None,
+    })
+}
 fn index_reader(component: ComponentType) -> Option<fn(&[u8]) -> u32> {
     match component {
         ComponentType::U8 => Some(|b| u32::from(b[0])),
@@ -70,29 +147,6 @@ fn index_reader(component: ComponentType) -> Option<fn(&[u8]) -> u32> {
         ComponentType::U32 => Some(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])),
         _ => None,
     }
-}
-
-/// The bytes of a buffer view.
-pub(super) fn view_bytes<'a>(
-    file: &File<'a>,
-    index: Index<json::buffer::View>,
-    place: &str,
-) -> Result<&'a [u8], LoadError> {
-    let view = file.root.get(index).ok_or_else(|| malformed(place, "its buffer view does not exist"))?;
-    let start = view.byte_offset.unwrap_or_default().0;
-    let end = start.checked_add(view.byte_length.0);
-    let range = end.and_then(|end| Some(usize::try_from(start).ok()?..usize::try_from(end).ok()?));
-    range.and_then(|range| file.bin.get(range)).ok_or_else(|| {
-        malformed(
-            place,
-            &format!(
-                "buffer view {} covers {} bytes from byte {start} on, the buffer has {}",
-                index.value(),
-                view.byte_length.0,
-                file.bin.len()
-            ),
-        )
-    })
 }
 
 fn expect<'f>(
@@ -142,15 +196,15 @@ fn read_all<T: Copy + Default, const N: usize>(
 }
 
 /// Checks that `count` values of `components` components lie within the view.
-fn layout<'a>(
-    file: &File<'a>,
+fn layout<'f>(
+    file: &'f File<'_>,
     view_index: Index<json::buffer::View>,
     offset: u64,
     count: usize,
     component: ComponentType,
     components: usize,
     place: &str,
-) -> Result<Layout<'a>, LoadError> {
+) -> Result<Layout<'f>, LoadError> {
     let bytes = view_bytes(file, view_index, place)?;
     let view = file.root.get(view_index).ok_or_else(|| malformed(place, "its buffer view does not exist"))?;
     let size = component.size() * components;

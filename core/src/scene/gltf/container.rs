@@ -1,9 +1,15 @@
-//! The outer layer of a `.glb`: header, JSON chunk, binary chunk, and the checks of the document as a whole.
+//! The outer layer of a file: the chunks of a `.glb` or the bare JSON of a `.gltf`, where its buffers come from, and the
+//! checks of the document as a whole.
+
+use std::borrow::Cow;
+use std::cell::{Cell, OnceCell};
 
 use ::gltf::json;
 use json::validation::{Checked, Error, Validate};
 
-use super::{LoadError, LoadLimits, malformed, too_large};
+use super::document::{self, Document, Extensions};
+use super::files::{Files, Named, resolve};
+use super::{LoadError, LoadLimits, malformed};
 
 const HEADER_BYTES: usize = 12;
 const CHUNK_HEADER_BYTES: usize = 8;
@@ -17,40 +23,82 @@ const MESSAGES_SHOWN: usize = 4;
 pub(super) struct File<'a> {
     /// The document.
     pub(super) root: json::Root,
-    /// Buffer 0, of at least the length that the document states.
-    pub(super) bin: &'a [u8],
+    /// What its extensions say that `root` does not hold.
+    pub(super) more: Extensions,
+    /// Whether there are animations.
+    pub(super) has_animations: bool,
+    /// Per buffer: at least the bytes that the document states. Absent: data of compressed views only.
+    pub(super) buffers: Vec<Option<Cow<'a, [u8]>>>,
+    /// Per buffer view: its bytes, once decompressed.
+    pub(super) decompressed: Vec<OnceCell<Vec<u8>>>,
+    /// Where files lie that the document names.
+    pub(super) files: &'a Files<'a>,
+    /// What may still be unpacked.
+    pub(super) unpacked: Allowance,
 }
 
-/// Splits the file, parses the document and checks all indices in it.
-pub(super) fn open<'a>(bytes: &'a [u8], limits: &LoadLimits) -> Result<File<'a>, LoadError> {
-    if bytes.len() > limits.max_bytes {
-        return Err(LoadError::TooLarge(format!(
-            "the file has {} bytes; at most {} are allowed",
-            bytes.len(),
-            limits.max_bytes
-        )));
+/// Bytes that may still be unpacked, of all that the document refers to.
+#[derive(Debug)]
+pub(super) struct Allowance {
+    left: Cell<usize>,
+    limit: usize,
+}
+
+impl Allowance {
+    pub(super) fn new(limit: usize) -> Self {
+        Self { left: Cell::new(limit), limit }
     }
-    let (document, bin) = split(bytes)?;
-    let root = json::Root::from_slice(document)
-        .map_err(|error| LoadError::Malformed(format!("the JSON chunk is not a glTF document: {error}")))?;
+
+    /// What is left.
+    pub(super) fn left(&self) -> usize {
+        self.left.get()
+    }
+
+    /// Takes `bytes` of it, before they are allocated.
+    pub(super) fn take(&self, bytes: usize, place: &str) -> Result<(), LoadError> {
+        match self.left.get().checked_sub(bytes) {
+            Some(left) => {
+                self.left.set(left);
+                Ok(())
+            }
+            None => Err(self.exceeded(place)),
+        }
+    }
+
+    pub(super) fn exceeded(&self, place: &str) -> LoadError {
+        LoadError::TooLarge(format!("{place}: unpacked, the file has more than {} bytes", self.limit))
+    }
+}
+
+/// Parses the document, gets its buffers and checks all indices in it.
+pub(super) fn open<'a>(bytes: &'a [u8], files: &'a Files<'a>, limits: &LoadLimits) -> Result<File<'a>, LoadError> {
+    let (document, bin) = if bytes.starts_with(b"glTF") { split(bytes)? } else { (bare(bytes)?, None) };
+    let Document { root, more, has_animations } = document::parse(document, limits)?;
     if !root.asset.version.starts_with("2.") {
         let version = root.asset.version.chars().take(16).collect::<String>();
         return Err(LoadError::Malformed(format!("asset.version is \"{version}\"; this reads glTF 2.0")));
     }
-    if root.nodes.len() > limits.max_nodes {
-        return Err(too_large("nodes", limits.max_nodes));
-    }
     check_indices(&root)?;
-    let bin = check_buffers(&root, bin)?;
-    Ok(File { root, bin })
+    let unpacked = Allowance::new(limits.max_unpacked_bytes);
+    let buffers = buffers(&root, &more, bin, files, &unpacked)?;
+    let decompressed = root.buffer_views.iter().map(|_| OnceCell::new()).collect();
+    Ok(File { root, more, has_animations, buffers, decompressed, files, unpacked })
+}
+
+/// The document of a `.gltf`.
+fn bare(bytes: &[u8]) -> Result<&[u8], LoadError> {
+    let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    if text.trim_ascii_start().first() == Some(&b'{') {
+        return Ok(bytes);
+    }
+    Err(LoadError::Malformed(
+        "this is no glTF: a .glb file starts with the letters glTF, a .gltf file with {, a zip archive with PK".into(),
+    ))
 }
 
 /// The JSON chunk and, where there is one, the binary chunk.
 fn split(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), LoadError> {
     let fail = |text: String| Err(LoadError::Malformed(text));
-    if bytes.get(..4) != Some(b"glTF") {
-        return fail("this is not a binary glTF: a .glb file starts with the letters glTF".into());
-    }
     let (Some(version), Some(length)) = (read_u32(bytes, 4), read_u32(bytes, 8)) else {
         return fail(format!("the file ends within its header, after {} bytes", bytes.len()));
     };
@@ -118,7 +166,9 @@ fn check_indices(root: &json::Root) -> Result<(), LoadError> {
     root.validate(root, json::Path::new, &mut |path, error| {
         // Extensions are judged by `extensions::check`; bounds are recomputed from the vertices.
         let is_extension = matches!(error, Error::Unsupported);
-        if is_extension || is_about_bounds(path().as_str()) {
+        // Without data of its own an accessor is all zeros, or compressed elsewhere.
+        let is_without_data = matches!(error, Error::Missing) && path().as_str().ends_with("].bufferView");
+        if is_extension || is_without_data || is_about_bounds(path().as_str()) {
         } else if messages.len() < MESSAGES_SHOWN {
             messages.push(format!("{}: {}", path(), error.to_string().to_lowercase()));
         } else {
@@ -136,24 +186,47 @@ fn is_about_bounds(path: &str) -> bool {
     path.ends_with("[\"POSITION\"].min") || path.ends_with("[\"POSITION\"].max")
 }
 
-/// Exactly one buffer, and it is the binary chunk.
-fn check_buffers<'a>(root: &json::Root, bin: Option<&'a [u8]>) -> Result<&'a [u8], LoadError> {
+/// The data of all buffers: the binary chunk, data within the document, files.
+fn buffers<'a>(
+    root: &json::Root,
+    more: &Extensions,
+    mut bin: Option<&'a [u8]>,
+    files: &Files<'_>,
+    unpacked: &Allowance,
+) -> Result<Vec<Option<Cow<'a, [u8]>>>, LoadError> {
+    let mut buffers = Vec::with_capacity(root.buffers.len());
     for (index, buffer) in root.buffers.iter().enumerate() {
-        if let Some(uri) = &buffer.uri {
-            let start: String = uri.chars().take(40).collect();
-            return Err(LoadError::Unsupported(format!(
-                "buffer {index} refers to \"{start}\"; only .glb files that hold all their data in the binary \
-                 chunk are read (export as glTF Binary)"
-            )));
+        let place = format!("buffer {index}");
+        let data = match &buffer.uri {
+            Some(uri) => match resolve(uri, files, unpacked, &place)? {
+                Named::Here(data) => Some(Cow::Owned(data)),
+                Named::Missing if more.is_fallback(index) => None,
+                Named::Missing => return Err(missing_file(&place, uri)),
+            },
+            // The specification has the chunk belong to the first buffer alone.
+            None if index == 0 => bin.take().map(Cow::Borrowed),
+            None => None,
+        };
+        let stated = buffer.byte_length.0;
+        match &data {
+            Some(data) if stated > data.len() as u64 => {
+                let text = format!("states {stated} bytes, but there are {}", data.len());
+                return Err(malformed(&place, &text));
+            }
+            None if !more.is_fallback(index) && (stated > 0 || index > 0) => {
+                return Err(malformed(&place, "has no data: neither a binary chunk nor a uri"));
+            }
+            _ => {}
         }
-        if index > 0 {
-            return Err(malformed(&format!("buffer {index}"), "has no data: a .glb has one binary chunk"));
-        }
+        buffers.push(data);
     }
-    let stated = root.buffers.first().map_or(0, |buffer| buffer.byte_length.0);
-    let bin = bin.unwrap_or(&[]);
-    if stated > bin.len() as u64 {
-        return Err(malformed("buffer 0", &format!("states {stated} bytes, but the binary chunk has {}", bin.len())));
-    }
-    Ok(&bin[..stated as usize])
+    Ok(buffers)
+}
+
+fn missing_file(place: &str, uri: &str) -> LoadError {
+    let start: String = uri.chars().take(80).collect();
+    LoadError::Unsupported(format!(
+        "{place} refers to \"{start}\", which is not there; a .gltf is sent with its files as one zip archive, or \
+         exported as .glb, which holds them"
+    ))
 }

@@ -1,51 +1,68 @@
 //! Lights of a file: emissive materials of its objects and `KHR_lights_punctual`.
 
-use std::sync::Arc;
+use std::collections::BTreeMap;
 
 use ::gltf::json;
 use glam::{DVec3, Vec3};
 use json::extensions::scene::khr_lights_punctual::{Light as JsonLight, Type};
 use json::validation::Checked;
 
-use super::mesh::LoadedMesh;
 use super::nodes::PlacedNode;
 use super::warnings::Warnings;
-use super::{LoadError, LoadLimits, malformed, too_large};
+use super::{LoadError, LoadLimits, LoadedObject, malformed, too_large};
 use crate::scene::names::UniqueNames;
-use crate::scene::{Light, LightKind, Object};
+use crate::scene::{Light, LightKind};
+
+/// Largest strength: as edits have it.
+const MAX_STRENGTH: f32 = 1e12;
+
+/// Lights, and of those under an object's node: their names with that object's.
+pub(super) struct Lights {
+    pub(super) lights: Vec<Light>,
+    pub(super) parents: BTreeMap<String, String>,
+}
 
 /// Emissive lights in the order of the objects, then punctual ones in the order of the nodes. Names are unique.
 pub(super) fn collect(
     root: &json::Root,
     nodes: &[PlacedNode],
-    objects: &[(Object, Arc<LoadedMesh>)],
+    objects: &[LoadedObject],
     limits: &LoadLimits,
     warnings: &mut Warnings,
-) -> Result<Vec<Light>, LoadError> {
+) -> Result<Lights, LoadError> {
     let mut names = UniqueNames::default();
     // The name of the light from outside.
     names.claim("environment");
     let mut lights = emissive(objects, &mut names);
-    for node in nodes {
+    let mut parents = BTreeMap::new();
+    // The first of several instances stands for its node.
+    let mut object_of: BTreeMap<usize, &str> = BTreeMap::new();
+    for loaded in objects {
+        object_of.entry(loaded.node).or_insert(&loaded.object.name);
+    }
+    for node in nodes.iter().filter(|node| !node.is_hidden) {
         let Some((index, light)) = punctual_of(root, node)? else { continue };
         let place = format!("light {index} \"{}\"", node.name);
         let name = names.claim(&node.name);
         if name != node.name {
             warnings.add("lights of the same name were renamed", format!("\"{}\" to \"{name}\"", node.name));
         }
-        lights.push(read_punctual(light, name, node, &place)?);
+        if let Some(object) = node.object.and_then(|object| object_of.get(&object)) {
+            parents.insert(name.clone(), (*object).to_owned());
+        }
+        lights.push(read_punctual(light, name, node, &place, warnings)?);
     }
     if lights.len() > limits.max_lights {
         return Err(too_large("lights", limits.max_lights));
     }
-    Ok(lights)
+    Ok(Lights { lights, parents })
 }
 
 /// A light per object and emissive material: the object's name, further ones `name/2`, `name/3`, ….
-fn emissive(objects: &[(Object, Arc<LoadedMesh>)], names: &mut UniqueNames) -> Vec<Light> {
+fn emissive(objects: &[LoadedObject], names: &mut UniqueNames) -> Vec<Light> {
     let mut lights = Vec::new();
-    for (object, mesh) in objects {
-        for (index, material) in mesh.materials.iter().enumerate() {
+    for LoadedObject { object, loaded, .. } in objects {
+        for (index, material) in loaded.materials.iter().enumerate() {
             if material.emission_color == Vec3::ZERO {
                 continue;
             }
@@ -70,29 +87,42 @@ fn punctual_of<'r>(root: &'r json::Root, node: &PlacedNode) -> Result<Option<(us
     light.map(|light| Some((index, light))).ok_or_else(missing)
 }
 
-fn read_punctual(light: &JsonLight, name: String, node: &PlacedNode, place: &str) -> Result<Light, LoadError> {
-    let color = Vec3::from_array(light.color);
-    if !color.is_finite() || color.min_element() < 0.0 {
-        return Err(malformed(place, &format!("its colour is {color}, each part must be 0 or more")));
+/// A light as edits allow it; what exporters write beside that is mended with a warning.
+fn read_punctual(
+    light: &JsonLight,
+    name: String,
+    node: &PlacedNode,
+    place: &str,
+    warnings: &mut Warnings,
+) -> Result<Light, LoadError> {
+    let (mut color, mut intensity) = (Vec3::from_array(light.color), light.intensity);
+    if !color.is_finite() || !intensity.is_finite() {
+        let text = format!("its colour is {color} and its intensity {intensity}, they must be finite");
+        return Err(malformed(place, &text));
     }
-    if !light.intensity.is_finite() || light.intensity < 0.0 {
-        return Err(malformed(place, &format!("its intensity is {}, it must be 0 or more", light.intensity)));
+    if color.min_element() < 0.0 || intensity < 0.0 {
+        warnings.add("lights of a negative colour or intensity take no light away: they count as 0", place);
+        (color, intensity) = (color.max(Vec3::ZERO), intensity.max(0.0));
     }
-    if light.range.is_some_and(|range| !(range.is_finite() && range > 0.0)) {
-        return Err(malformed(place, &format!("its range is {:?}, it must be above 0", light.range)));
+    if (color * intensity).max_element() > MAX_STRENGTH {
+        return Err(malformed(place, &format!("its colour times its intensity is above {MAX_STRENGTH:e}")));
     }
-    let (position, range) = (node.world_from_node.transform_point3(DVec3::ZERO), light.range);
+    let range = light.range.filter(|range| range.is_finite() && *range > 0.0);
+    if range != light.range {
+        warnings.add("ranges of lights that are not above 0 are taken as none", place);
+    }
+    let position = node.world_from_node.transform_point3(DVec3::ZERO);
     let kind = match light.type_ {
         Checked::Invalid => return Err(malformed(place, "its type is unknown")),
         Checked::Valid(Type::Point) => LightKind::Point { position, range },
         Checked::Valid(Type::Directional) => LightKind::Directional { direction: direction_of(node, place)? },
         Checked::Valid(Type::Spot) => {
-            let (inner_cone_angle, outer_cone_angle) = cone(light, place)?;
+            let (inner_cone_angle, outer_cone_angle) = cone(light, place, warnings)?;
             let direction = direction_of(node, place)?;
             LightKind::Spot { position, direction, inner_cone_angle, outer_cone_angle, range }
         }
     };
-    Ok(Light { name, kind, color, intensity: light.intensity })
+    Ok(Light { name, kind, color, intensity })
 }
 
 /// The −z axis of the node.
@@ -101,13 +131,26 @@ fn direction_of(node: &PlacedNode, place: &str) -> Result<Vec3, LoadError> {
     direction.map(|d| d.as_vec3()).ok_or_else(|| malformed(place, "its node has a scale of zero: no direction"))
 }
 
-fn cone(light: &JsonLight, place: &str) -> Result<(f32, f32), LoadError> {
+/// Inner and outer angle, 0 <= inner <= outer <= pi/2; an edge between equal ones is hard.
+fn cone(light: &JsonLight, place: &str, warnings: &mut Warnings) -> Result<(f32, f32), LoadError> {
     let spot = light.spot.as_ref().ok_or_else(|| malformed(place, "a spot light without its cone"))?;
     let (inner, outer) = (spot.inner_cone_angle, spot.outer_cone_angle);
-    // The smallest f32 above pi/2 still stands for pi/2.
-    if inner >= 0.0 && inner < outer && outer <= std::f32::consts::FRAC_PI_2 {
-        Ok((inner, outer))
-    } else {
-        Err(malformed(place, &format!("its cone angles are {inner} and {outer}; 0 <= inner < outer <= pi/2 is needed")))
+    if !(inner.is_finite() && outer.is_finite() && outer > 0.0) {
+        return Err(malformed(
+            place,
+            &format!("its cone angles are {inner} and {outer}, the outer one must be above 0"),
+        ));
     }
+    // The smallest f32 above pi/2 still stands for pi/2.
+    let mended_outer = outer.min(std::f32::consts::FRAC_PI_2);
+    let mended_inner = inner.clamp(0.0, mended_outer);
+    if inner >= outer {
+        warnings.add("spot lights whose inner cone is not below the outer one have a hard edge", place);
+    }
+    if outer > mended_outer {
+        warnings.add("spot lights wider than 90 degrees to each side end there", place);
+    } else if inner < 0.0 {
+        warnings.add("negative inner cone angles of spot lights are taken as 0", place);
+    }
+    Ok((mended_inner, mended_outer))
 }

@@ -4,15 +4,16 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use ::gltf::json;
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec2, Vec3, Vec4};
 use json::mesh::{Mode, Primitive, Semantic};
 use json::validation::Checked;
 
-use super::accessor::{read_indices, read_vec3};
+use super::attributes::Attributes;
 use super::container::File;
 use super::material::{LoadedMaterial, Materials};
+use super::pose::{Pose, Vertices};
 use super::warnings::Warnings;
-use super::{LoadError, LoadLimits, malformed, too_large};
+use super::{LoadError, LoadLimits, draco, malformed, too_large};
 use crate::scene::Mesh;
 
 /// A mesh, shared by the objects that show it.
@@ -42,8 +43,8 @@ struct Draft {
     materials: Vec<LoadedMaterial>,
     /// glTF material to index into `materials`.
     material_slots: BTreeMap<Option<usize>, u32>,
-    /// Position and normal accessor to first vertex and number of vertices: primitives often share them.
-    vertex_ranges: BTreeMap<(usize, Option<usize>), (u32, usize)>,
+    /// What primitives often share, by the accessors of all that is read of it.
+    vertex_ranges: BTreeMap<Vec<Option<usize>>, (u32, usize)>,
     degenerate_triangles: usize,
 }
 
@@ -59,70 +60,78 @@ impl<'f> Meshes<'f> {
         }
     }
 
+    /// A mesh as a node poses it. Unposed ones are shared.
     pub(super) fn get(
         &mut self,
         index: json::Index<json::Mesh>,
+        pose: &Pose,
         materials: &mut Materials<'f>,
         warnings: &mut Warnings,
     ) -> Result<Arc<LoadedMesh>, LoadError> {
         let index = index.value();
-        if let Some(known) = self.read.get(index).and_then(Option::as_ref) {
+        if let Some(known) = self.read.get(index).and_then(Option::as_ref).filter(|_| pose.is_plain()) {
             return Ok(Arc::clone(known));
         }
         let missing = || malformed(&format!("mesh {index}"), "does not exist");
         let json = self.file.root.meshes.get(index).ok_or_else(missing)?;
         let name = format!("mesh {index} \"{}\"", json.name.as_deref().unwrap_or_default());
         if json.primitives.is_empty() {
-            return Err(malformed(&name, "has no primitives"));
+            warnings.add("meshes without primitives are empty", &name);
         }
         let mut draft = Draft::default();
         for (number, primitive) in json.primitives.iter().enumerate() {
             let place = format!("{name}, primitive {number}");
-            self.add_primitive(&mut draft, primitive, &place, materials, warnings)?;
+            let place = Place { mesh: index, number, name: &place };
+            self.add_primitive(&mut draft, primitive, &place, pose, materials, warnings)?;
         }
         let loaded = Arc::new(draft.finish());
-        self.read[index] = Some(Arc::clone(&loaded));
+        if pose.is_plain() {
+            self.read[index] = Some(Arc::clone(&loaded));
+        }
         Ok(loaded)
     }
 
     fn add_primitive(
         &mut self,
         draft: &mut Draft,
-        primitive: &Primitive,
-        place: &str,
+        primitive: &'f Primitive,
+        place: &Place<'_>,
+        pose: &Pose,
         materials: &mut Materials<'f>,
         warnings: &mut Warnings,
     ) -> Result<(), LoadError> {
         let mode = match primitive.mode {
             Checked::Valid(mode @ (Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan)) => mode,
             Checked::Valid(_) => {
-                warnings.add("points and lines are left out", place);
+                warnings.add("points and lines are left out", place.name);
                 return Ok(());
             }
-            Checked::Invalid => return Err(malformed(place, "its mode is unknown")),
+            Checked::Invalid => return Err(malformed(place.name, "its mode is unknown")),
         };
-        if primitive.targets.as_ref().is_some_and(|targets| !targets.is_empty()) {
-            warnings.add("morph targets are ignored", place);
-        }
         let material = materials.get(primitive.material, warnings)?;
         if material.is_transparent {
             return Ok(());
         }
-        let (first, count) = self.vertices(draft, primitive, place)?;
+        let compressed = self.file.more.draco(place.mesh, place.number);
+        let decode =
+            |extension| draco::decode(self.file, extension, self.vertices_left, self.max_triangles, place.name);
+        let draco = compressed.map(decode).transpose()?;
+        // Decompressed, strips are lists.
+        let mode = if draco.is_some() { Mode::Triangles } else { mode };
+        let attributes =
+            Attributes { file: self.file, primitive, draco, max_vertices: self.vertices_left, place: place.name };
+        let (first, count) = self.vertices(draft, &attributes, &material, pose, warnings)?;
         let full = |error| match error {
             LoadError::TooLarge(_) => too_large("triangles", self.max_triangles),
             other => other,
         };
         // A strip or fan of n indices has n − 2 triangles, a list a third of n.
         let max_indices = self.max_triangles.saturating_mul(3).saturating_add(2);
-        let indices = match primitive.indices {
-            Some(index) => read_indices(self.file, index, max_indices, &format!("{place}, indices")).map_err(full)?,
-            None => (0..count as u32).collect(),
-        };
+        let indices = attributes.indices(count, max_indices).map_err(full)?;
         if let Some(bad) = indices.iter().find(|&&index| index as usize >= count) {
-            return Err(malformed(place, &format!("index {bad} is out of range, there are {count} vertices")));
+            return Err(malformed(place.name, &format!("index {bad} is out of range, there are {count} vertices")));
         }
-        let corners = triangle_corners(mode, &indices, place)?;
+        let corners = triangle_corners(mode, &indices, place.name)?;
         if draft.mesh.triangles.len() + corners.len() > self.max_triangles {
             return Err(too_large("triangles", self.max_triangles));
         }
@@ -132,41 +141,78 @@ impl<'f> Meshes<'f> {
     }
 
     /// Adds the vertices of a primitive; answers the first one's index and their number.
-    fn vertices(&mut self, draft: &mut Draft, primitive: &Primitive, place: &str) -> Result<(u32, usize), LoadError> {
-        let attribute = |semantic| primitive.attributes.get(&Checked::Valid(semantic)).copied();
-        let Some(position_index) = attribute(Semantic::Positions) else {
-            return Err(malformed(place, "has no POSITION"));
-        };
-        let normal_index = attribute(Semantic::Normals);
-        let key = (position_index.value(), normal_index.map(|index| index.value()));
-        if let Some(known) = draft.vertex_ranges.get(&key) {
+    fn vertices(
+        &mut self,
+        draft: &mut Draft,
+        attributes: &Attributes<'_>,
+        material: &LoadedMaterial,
+        pose: &Pose,
+        warnings: &mut Warnings,
+    ) -> Result<(u32, usize), LoadError> {
+        let key = shared_by(attributes, material).filter(|_| pose.is_plain());
+        if let Some(known) = key.as_ref().and_then(|key| draft.vertex_ranges.get(key)) {
             return Ok(*known);
         }
         let full = |error| match error {
+            LoadError::TooLarge(text) if attributes.draco.is_some() => LoadError::TooLarge(text),
             LoadError::TooLarge(_) => too_large("vertices", self.max_vertices),
             other => other,
         };
-        let positions = read_vec3(self.file, position_index, self.vertices_left, &format!("{place}, POSITION"));
-        let positions = positions.map_err(full)?;
-        let first = draft.mesh.positions.len() as u32;
-        if let Some(index) = normal_index {
-            let normals = read_vec3(self.file, index, self.vertices_left, &format!("{place}, NORMAL")).map_err(full)?;
-            if normals.len() != positions.len() {
-                let text = format!("has {} positions but {} normals", positions.len(), normals.len());
-                return Err(malformed(place, &text));
-            }
-            // In f64: the square of a tiny f32 vanishes. What has no direction counts as absent.
-            let unit = |n: &[f32; 3]| Vec3::from_array(*n).as_dvec3().normalize_or_zero().as_vec3();
-            draft.mesh.normals.extend(normals.iter().map(unit));
-            draft.has_normals = true;
-        } else {
-            draft.mesh.normals.extend(std::iter::repeat_n(Vec3::ZERO, positions.len()));
-        }
-        self.vertices_left -= positions.len();
+        let positions = attributes.positions().map_err(full)?;
         let count = positions.len();
-        draft.mesh.positions.extend(positions.into_iter().map(Vec3::from_array));
-        draft.vertex_ranges.insert(key, (first, count));
-        Ok((first, count))
+        let normals = attributes.normals(count).map_err(full)?.unwrap_or_default();
+        let mut vertices = Vertices { positions, normals };
+        if !pose.is_plain() {
+            pose.apply(attributes, &mut vertices)?;
+        }
+        let first = draft.mesh.positions.len();
+        if !vertices.normals.is_empty() {
+            draft.has_normals = true;
+            if vertices.normals.iter().flatten().any(|part| !part.is_finite()) {
+                warnings.add("normals that are not finite count as absent", attributes.place);
+            }
+        }
+        // In f64: the square of a tiny f32 vanishes. What has no direction counts as absent.
+        let unit = |n: [f32; 3]| Vec3::from_array(n).as_dvec3().normalize_or_zero().as_vec3();
+        draft.mesh.normals.extend(vertices.normals.into_iter().map(unit));
+        draft.mesh.positions.extend(vertices.positions.into_iter().map(Vec3::from_array));
+        draft.mesh.normals.resize(first + count, Vec3::ZERO);
+        for set in 0..2 {
+            let values = if material.uses_texcoord(set) { attributes.texcoords(set as u32, count)? } else { None };
+            let values = values.map(|values| values.into_iter().map(Vec2::from_array));
+            append(&mut draft.mesh.texcoords[set], first, values, Vec2::ZERO);
+        }
+        let colors = attributes.colors(count)?.map(|colors| colors.into_iter().map(Vec4::from_array));
+        append(&mut draft.mesh.colors, first, colors, Vec4::ONE);
+        self.vertices_left -= count;
+        let range = (first as u32, count);
+        key.map(|key| draft.vertex_ranges.insert(key, range));
+        Ok(range)
+    }
+}
+
+/// Where a primitive stands in the document.
+struct Place<'p> {
+    mesh: usize,
+    number: usize,
+    name: &'p str,
+}
+
+/// The accessors that decide about a primitive's vertices; none for compressed ones, which are their own.
+fn shared_by(attributes: &Attributes<'_>, material: &LoadedMaterial) -> Option<Vec<Option<usize>>> {
+    let of = |semantic| attributes.accessor(semantic).map(|index| index.value());
+    let texcoord = |set: u32| of(Semantic::TexCoords(set)).filter(|_| material.uses_texcoord(set as usize));
+    let positions = of(Semantic::Positions);
+    let all = vec![positions, of(Semantic::Normals), of(Semantic::Colors(0)), texcoord(0), texcoord(1)];
+    attributes.draco.is_none().then_some(all)
+}
+
+/// Appends values of the vertices from `first` on, which earlier vertices may lack. An empty list stays empty where
+/// there are none.
+fn append<T: Copy>(list: &mut Vec<T>, first: usize, values: Option<impl Iterator<Item = T>>, absent: T) {
+    if let Some(values) = values {
+        list.resize(first, absent);
+        list.extend(values);
     }
 }
 
@@ -194,8 +240,14 @@ impl Draft {
     }
 
     fn finish(mut self) -> LoadedMesh {
+        let mesh = &mut self.mesh;
         if !self.has_normals {
-            self.mesh.normals = Vec::new();
+            mesh.normals = Vec::new();
+        }
+        let count = mesh.positions.len();
+        mesh.texcoords.iter_mut().filter(|set| !set.is_empty()).for_each(|set| set.resize(count, Vec2::ZERO));
+        if !mesh.colors.is_empty() {
+            mesh.colors.resize(count, Vec4::ONE);
         }
         LoadedMesh {
             mesh: Arc::new(self.mesh),

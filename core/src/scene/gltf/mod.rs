@@ -1,27 +1,37 @@
-//! Reads a binary glTF 2.0 file (`.glb`) into a [`Scene`].
+//! Reads glTF 2.0 files into a [`Scene`]: `.glb`, `.gltf` with its files in a zip archive or a folder.
 //!
-//! The `gltf` crate parses the JSON. Every index, range and number is checked here before it is used, since the
-//! crate's own accessors and part of its validation panic on files that break the specification. Nothing outside
-//! the file is ever read: neither other files nor the network.
+//! The `gltf` crate has the types of the JSON. Every index, range and number is checked here before it is used, since the
+//! crate's own accessors and part of its validation panic on files that break the specification. Nothing is ever fetched
+//! from a network, and uploads reach no file but those of their own archive.
 
 mod accessor;
+mod attributes;
 mod container;
+mod document;
+mod draco;
 mod extensions;
-mod image_mean;
+mod files;
+mod instances;
 mod lights;
 mod material;
 mod mesh;
 mod nodes;
+mod pose;
 #[cfg(test)]
 mod tests;
+mod textures;
+mod views;
 mod warnings;
 
+use std::path::Path;
 use std::sync::Arc;
 
 use ::gltf::json;
 use glam::{DMat3, DMat4, DVec3};
 
 use self::container::File;
+use self::files::{Archive, Files};
+use self::lights::Lights;
 use self::material::Materials;
 use self::mesh::{LoadedMesh, Meshes};
 use self::nodes::PlacedNode;
@@ -29,13 +39,17 @@ use self::warnings::Warnings;
 use super::names::UniqueNames;
 use super::{Camera, Object, Scene};
 
-/// Upper bounds on what one file may ask for. Beyond them [`load_glb`] answers [`LoadError::TooLarge`].
+/// Upper bounds on what one file may ask for. Beyond them [`load`] answers [`LoadError::TooLarge`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoadLimits {
     /// Bytes of the file.
     pub max_bytes: usize,
-    /// Nodes, used or not.
+    /// Bytes of all that is unpacked: files of an archive, compressed meshes, data within the JSON.
+    pub max_unpacked_bytes: usize,
+    /// Nodes, used or not. The other lists and the JSON as a whole are bounded in proportion.
     pub max_nodes: usize,
+    /// Materials, and any other list of the document that is not named here.
+    pub max_materials: usize,
     /// Levels of the node hierarchy.
     pub max_depth: usize,
     /// Objects: nodes with a mesh.
@@ -50,20 +64,28 @@ pub struct LoadLimits {
     pub max_texture_pixels: u64,
     /// Pixels of all textures.
     pub max_total_texture_pixels: u64,
+    /// Texels of all textures that are kept for the light map; beyond some part of it they are kept smaller.
+    pub max_kept_texels: usize,
+    /// Largest albedo: what is above counts as this, with a warning, and is no error.
+    pub max_albedo: f32,
 }
 
 impl Default for LoadLimits {
     fn default() -> Self {
         Self {
             max_bytes: 1 << 30,
+            max_unpacked_bytes: 2 << 30,
             max_nodes: 1_000_000,
+            max_materials: 100_000,
             max_depth: 256,
             max_objects: 100_000,
             max_lights: 10_000,
             max_triangles: 20_000_000,
             max_vertices: 60_000_000,
             max_texture_pixels: 1 << 26,
-            max_total_texture_pixels: 1 << 28,
+            max_total_texture_pixels: 1 << 30,
+            max_kept_texels: 1 << 25,
+            max_albedo: 0.95,
         }
     }
 }
@@ -71,7 +93,7 @@ impl Default for LoadLimits {
 /// Why a file was refused. The text names the place in the file and is meant for the person who uploaded it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LoadError {
-    /// The file breaks the specification: damaged, inconsistent, or not a binary glTF at all (HTTP 400).
+    /// The file breaks the specification: damaged, inconsistent, or no glTF at all (HTTP 400).
     #[error("{0}")]
     Malformed(String),
     /// The file is (as far as seen) valid, but cannot be baked: it requires an extension that is not implemented,
@@ -86,93 +108,140 @@ pub enum LoadError {
 /// Largest extent of a scene, metres: products of four lengths must stay far from the end of `f32`.
 const MAX_EXTENT: f64 = 1e8;
 
-/// Reads a `.glb` file with an embedded binary chunk.
+/// Reads a file: a `.glb`, a `.gltf` with all data within its JSON, or a zip archive that holds one of either with its
+/// files. What it is shows in its first bytes.
 ///
 /// Deterministic: the same bytes give the same scene. Never panics, whatever the bytes.
 ///
 /// # Errors
 /// [`LoadError`], with a text that names the place in the file.
-pub fn load_glb(bytes: &[u8], limits: &LoadLimits) -> Result<Scene, LoadError> {
-    let file = container::open(bytes, limits)?;
+pub fn load(bytes: &[u8], limits: &LoadLimits) -> Result<Scene, LoadError> {
+    if bytes.len() > limits.max_bytes {
+        return Err(LoadError::TooLarge(format!(
+            "the file has {} bytes; at most {} are allowed",
+            bytes.len(),
+            limits.max_bytes
+        )));
+    }
+    if !bytes.starts_with(b"PK") {
+        return load_document(bytes, &Files::None, limits);
+    }
+    let archive = Archive::open(bytes)?;
+    let document = archive.document(limits)?;
+    load_document(&document, &Files::Archive(archive), limits)
+}
+
+/// Reads a file of this machine: as [`load`], and a `.gltf` finds its files where it names them.
+///
+/// # Errors
+/// [`LoadError`], with a text that names the place in the file.
+pub fn load_path(path: &Path, limits: &LoadLimits) -> Result<Scene, LoadError> {
+    let unreadable = |error: std::io::Error| LoadError::Malformed(format!("{}: {error}", path.display()));
+    let length = std::fs::metadata(path).map_err(unreadable)?.len();
+    if length > limits.max_bytes as u64 {
+        let text = format!("the file has {length} bytes; at most {} are allowed", limits.max_bytes);
+        return Err(LoadError::TooLarge(text));
+    }
+    let bytes = std::fs::read(path).map_err(unreadable)?;
+    if bytes.starts_with(b"PK") {
+        return load(&bytes, limits);
+    }
+    let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+    load_document(&bytes, &Files::Folder(folder), limits)
+}
+
+fn load_document(bytes: &[u8], files: &Files<'_>, limits: &LoadLimits) -> Result<Scene, LoadError> {
+    let file = container::open(bytes, files, limits)?;
     let mut warnings = Warnings::default();
-    extensions::check(&file.root, &mut warnings)?;
-    let nodes = nodes::place(&file.root, limits, &mut warnings)?;
+    extensions::check(&file, &mut warnings)?;
+    let nodes = nodes::place(&file, limits, &mut warnings)?;
     let (objects, degenerate_triangles) = read_objects(&file, &nodes, limits, &mut warnings)?;
     let bounds = world_bounds(&objects)?;
-    let lights = lights::collect(&file.root, &nodes, &objects, limits, &mut warnings)?;
+    let Lights { lights, parents } = lights::collect(&file.root, &nodes, &objects, limits, &mut warnings)?;
     let cameras = read_cameras(&file.root, &nodes, &mut warnings)?;
     if degenerate_triangles > 0 {
         warnings.add(format!("{degenerate_triangles} triangles without an area were dropped"), "");
     }
     Ok(Scene {
         origin: choose_origin(bounds),
-        objects: objects.into_iter().map(|(object, _)| object).collect(),
+        objects: objects.into_iter().map(|loaded| loaded.object).collect(),
         lights,
         groups: std::collections::BTreeMap::new(),
+        light_parents: parents,
         cameras,
         warnings: warnings.into_texts(),
         degenerate_triangles,
     })
 }
 
-/// An object per node with a mesh, each with the glTF side of its mesh; and the number of
-/// dropped triangles.
-#[expect(clippy::type_complexity, reason = "a list of pairs and a count, read once, right below its only call")]
+/// An object with what it came from.
+struct LoadedObject {
+    object: Object,
+    loaded: Arc<LoadedMesh>,
+    /// Index of its node.
+    node: usize,
+}
+
+/// An object per node with a mesh, or per instance of it; and the number of dropped triangles.
 fn read_objects(
     file: &File<'_>,
     nodes: &[PlacedNode],
     limits: &LoadLimits,
     warnings: &mut Warnings,
-) -> Result<(Vec<(Object, Arc<LoadedMesh>)>, usize), LoadError> {
+) -> Result<(Vec<LoadedObject>, usize), LoadError> {
     let mut materials = Materials::new(file, limits);
     let mut meshes = Meshes::new(file, limits);
     let mut names = UniqueNames::default();
-    let mut objects: Vec<(Object, Arc<LoadedMesh>)> = Vec::new();
+    let mut objects: Vec<LoadedObject> = Vec::new();
     let (mut triangles, mut degenerate) = (0_usize, 0_usize);
-    for node in nodes {
+    for node in nodes.iter().filter(|node| !node.is_hidden) {
         let Some(mesh_index) = file.root.nodes[node.index].mesh else { continue };
-        let loaded = meshes.get(mesh_index, &mut materials, warnings)?;
+        let pose = pose::of_node(file, node, nodes, warnings)?;
+        let loaded = meshes.get(mesh_index, &pose, &mut materials, warnings)?;
         let place = || format!("node {} \"{}\"", node.index, node.name);
         if loaded.mesh.triangles.is_empty() {
             // It stays an object that edits can name.
             warnings.add("nodes whose mesh has no triangle that blocks light have no elements", place());
         }
-        if DMat3::from_mat4(node.world_from_node).determinant() == 0.0 {
-            warnings.add("nodes with a scale of zero are left out", place());
-            continue;
+        let instances = instances::of_node(file, node, limits)?;
+        for (number, world_from_object) in instances.into_iter().enumerate() {
+            if !world_from_object.is_finite() || DMat3::from_mat4(world_from_object).determinant() == 0.0 {
+                warnings.add("nodes with a scale of zero are left out", place());
+                continue;
+            }
+            if objects.len() >= limits.max_objects {
+                return Err(too_large("objects (nodes with a mesh)", limits.max_objects));
+            }
+            triangles += loaded.mesh.triangles.len();
+            if triangles > limits.max_triangles {
+                return Err(too_large("triangles", limits.max_triangles));
+            }
+            degenerate += loaded.degenerate_triangles;
+            let name = names.claim(&node.name);
+            if name != node.name && number == 0 {
+                warnings.add("nodes of the same name were renamed", format!("\"{}\" to \"{name}\"", node.name));
+            }
+            let mesh = Arc::clone(&loaded.mesh);
+            let materials = loaded.materials.iter().map(|m| m.material).collect();
+            let looks = if loaded.materials.iter().any(|m| m.look.is_some()) {
+                loaded.materials.iter().map(|m| m.look.clone()).collect()
+            } else {
+                Vec::new()
+            };
+            let object = Object { name, mesh, materials, looks, world_from_object };
+            objects.push(LoadedObject { object, loaded: Arc::clone(&loaded), node: node.index });
         }
-        if objects.len() >= limits.max_objects {
-            return Err(too_large("objects (nodes with a mesh)", limits.max_objects));
-        }
-        triangles += loaded.mesh.triangles.len();
-        if triangles > limits.max_triangles {
-            return Err(too_large("triangles", limits.max_triangles));
-        }
-        degenerate += loaded.degenerate_triangles;
-        let name = names.claim(&node.name);
-        if name != node.name {
-            warnings.add("nodes of the same name were renamed", format!("\"{}\" to \"{name}\"", node.name));
-        }
-        let object = Object {
-            name,
-            mesh: Arc::clone(&loaded.mesh),
-            materials: loaded.materials.iter().map(|m| m.material).collect(),
-            world_from_object: node.world_from_node,
-        };
-        objects.push((object, loaded));
     }
     if triangles == 0 {
-        let notes = std::mem::take(warnings).into_texts();
-        let notes = if notes.is_empty() { String::new() } else { format!(" ({})", notes.join("; ")) };
-        return Err(LoadError::Unsupported(format!("the scene has no triangle that light could fall on{notes}")));
+        warnings.add("the scene has no triangle that light could fall on", "");
     }
     Ok((objects, degenerate))
 }
 
 /// Bounds of all triangles in world space, metres.
-fn world_bounds(objects: &[(Object, Arc<LoadedMesh>)]) -> Result<(DVec3, DVec3), LoadError> {
+fn world_bounds(objects: &[LoadedObject]) -> Result<(DVec3, DVec3), LoadError> {
     let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    for (object, _) in objects.iter().filter(|(o, _)| !o.mesh.triangles.is_empty()) {
+    for object in objects.iter().map(|loaded| &loaded.object).filter(|o| !o.mesh.triangles.is_empty()) {
         let mesh = &object.mesh;
         let (mut object_low, mut object_high) = (low, high);
         for &corner in mesh.triangles.iter().flatten() {

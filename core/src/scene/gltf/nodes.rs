@@ -3,6 +3,7 @@
 use ::gltf::json;
 use glam::{DMat4, DQuat, DVec3};
 
+use super::container::File;
 use super::warnings::Warnings;
 use super::{LoadError, LoadLimits, malformed};
 
@@ -15,20 +16,36 @@ pub(super) struct PlacedNode {
     pub(super) name: String,
     /// Node space to world space, finite.
     pub(super) world_from_node: DMat4,
+    /// The nearest node at or above this one that has a mesh.
+    pub(super) object: Option<usize>,
+    /// Hidden by itself or by a node above (`KHR_node_visibility`): its mesh and its light do not count.
+    pub(super) is_hidden: bool,
+}
+
+/// A node that is to be placed, and what it takes from the one above.
+#[derive(Clone, Copy)]
+struct Waiting {
+    index: usize,
+    world_from_parent: DMat4,
+    depth: usize,
+    object: Option<usize>,
+    is_hidden: bool,
 }
 
 /// The nodes of the scene in the order of the file.
 pub(super) fn place(
-    root: &json::Root,
+    file: &File<'_>,
     limits: &LoadLimits,
     warnings: &mut Warnings,
 ) -> Result<Vec<PlacedNode>, LoadError> {
+    let root = &file.root;
     let parents = parents(root)?;
     let roots = scene_roots(root, &parents, warnings);
     let mut placed = Vec::new();
     let mut reached = vec![false; root.nodes.len()];
-    let mut stack: Vec<(usize, DMat4, usize)> = roots.into_iter().map(|node| (node, DMat4::IDENTITY, 1)).collect();
-    while let Some((index, world_from_parent, depth)) = stack.pop() {
+    let first = |index| Waiting { index, world_from_parent: DMat4::IDENTITY, depth: 1, object: None, is_hidden: false };
+    let mut stack: Vec<Waiting> = roots.into_iter().map(first).collect();
+    while let Some(Waiting { index, world_from_parent, depth, object, is_hidden }) = stack.pop() {
         let name = name_of(root, index);
         let here = || format!("node {index} \"{name}\"");
         if std::mem::replace(&mut reached[index], true) {
@@ -43,11 +60,20 @@ pub(super) fn place(
         if !world_from_node.is_finite() {
             return Err(malformed(&here(), "its transform is not finite"));
         }
-        if node.skin.is_some() {
-            warnings.add("skins are ignored: meshes are taken in their bind pose", here());
+        let object = node.mesh.map(|_| index).or(object);
+        if !is_hidden && !file.more.is_visible(index) {
+            warnings.add("hidden nodes (KHR_node_visibility) are left out with all below them", here());
         }
-        stack.extend(node.children.iter().flatten().map(|child| (child.value(), world_from_node, depth + 1)));
-        placed.push(PlacedNode { index, name, world_from_node });
+        let is_hidden = is_hidden || !file.more.is_visible(index);
+        let below = |child: &json::Index<json::Node>| Waiting {
+            index: child.value(),
+            world_from_parent: world_from_node,
+            depth: depth + 1,
+            object,
+            is_hidden,
+        };
+        stack.extend(node.children.iter().flatten().map(below));
+        placed.push(PlacedNode { index, name, world_from_node, object, is_hidden });
     }
     placed.sort_unstable_by_key(|node| node.index);
     Ok(placed)
@@ -90,8 +116,12 @@ fn scene_roots(root: &json::Root, parents: &[Option<usize>], warnings: &mut Warn
         warnings.add("the file has several scenes, one was taken", format!("scene {which}"));
     }
     match chosen {
-        Some(scene) => scene.nodes.iter().map(|node| node.value()).collect(),
-        None => (0..parents.len()).filter(|&index| parents[index].is_none()).collect(),
+        Some(scene) if !scene.nodes.is_empty() => scene.nodes.iter().map(|node| node.value()).collect(),
+        Some(_) if !root.nodes.is_empty() => {
+            warnings.add("the scene is empty: all nodes of the file were taken", "");
+            (0..parents.len()).filter(|&index| parents[index].is_none()).collect()
+        }
+        _ => (0..parents.len()).filter(|&index| parents[index].is_none()).collect(),
     }
 }
 

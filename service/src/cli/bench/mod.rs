@@ -13,7 +13,7 @@ use rebake::bench::{
 };
 use rebake::sheet::Crop;
 use rebake_core::render::RenderOptions;
-use rebake_core::scene::{LoadLimits, Scene, load_glb};
+use rebake_core::scene::{LoadLimits, Scene, load_path};
 
 use super::demo;
 use super::exit::Interrupted;
@@ -302,8 +302,7 @@ const DEMO_CASES: &str = r#"{"scene": "", "cases": [
 
 fn load_scene(path: &Path) -> anyhow::Result<Scene> {
     let cannot = || format!("cannot load {}", path.display());
-    let glb = std::fs::read(path).with_context(cannot)?;
-    let scene = load_glb(&glb, &LoadLimits::default()).with_context(cannot)?;
+    let scene = load_path(path, &LoadLimits::default()).with_context(cannot)?;
     scene.warnings.iter().for_each(|warning| ui::note(&format!("warning: {warning}")));
     Ok(scene)
 }

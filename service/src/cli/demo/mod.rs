@@ -15,7 +15,7 @@ use glam::Vec3;
 use rebake::client::types::{Job, NewScene};
 use rebake::client::{Client, DeltaFollower, EditOptions};
 use rebake_core::export::write_scene_glb;
-use rebake_core::scene::{LoadLimits, Scene, load_glb};
+use rebake_core::scene::{LoadLimits, Scene, load};
 use rebake_core::{Edit, Relight, World, WorldOptions};
 use serde_json::{Value, json};
 
@@ -99,7 +99,7 @@ async fn steps(args: &DemoArgs, address: SocketAddr, stays: bool) -> anyhow::Res
     }
     let asset = demo.client.create_asset(demo.chair_glb.clone()).await?;
     let place = room::chair_place();
-    let chair = load_glb(&demo.chair_glb, &LoadLimits::default())?;
+    let chair = load(&demo.chair_glb, &LoadLimits::default())?;
     let insert = json!({"op": "insert", "asset": asset, "name": "chair", "transform": place.to_cols_array()});
     let inserted = Edit::Insert { asset: Arc::new(chair), name: "chair".to_owned(), transform: place };
     demo.edit("+ chair", insert, inserted).await?;
@@ -332,7 +332,7 @@ impl Demo {
     }
 
     fn load(&self, glb: &[u8]) -> anyhow::Result<Scene> {
-        load_glb(glb, &LoadLimits::default()).context("the built-in room does not load")
+        load(glb, &LoadLimits::default()).context("the built-in room does not load")
     }
 
     /// Runs `task` on the demo's own compute threads.

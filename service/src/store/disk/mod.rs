@@ -108,6 +108,7 @@ mod tests {
             mode: Mode::Full,
             spacing: 0.1,
             environment: None,
+            max_albedo: None,
             groups: Default::default(),
             created_at,
         };

@@ -1,10 +1,15 @@
 //! Tests of the reader: what it accepts, what it refuses, and that it never panics.
 
 mod accepted;
+mod compressed;
+mod files;
 mod fuzz;
+mod mended;
+mod posed;
 mod refused;
+mod textured;
 
-use super::{LoadError, LoadLimits, load_glb};
+use super::{LoadError, LoadLimits};
 use crate::scene::Scene;
 
 /// A square with normals and 16-bit indices, a camera, a lamp. Offsets: positions 0, normals 48, indices 96 (6),
@@ -87,5 +92,5 @@ fn edited(replacements: &[(&str, &str)]) -> Vec<u8> {
 }
 
 fn load(bytes: &[u8]) -> Result<Scene, LoadError> {
-    load_glb(bytes, &LoadLimits::default())
+    super::load(bytes, &LoadLimits::default())
 }

@@ -56,7 +56,6 @@ const MALFORMED: &[(&str, &str, &str)] = &[
         "\"bufferView\": 0, \"componentType\": 5123, \"count\": 9",
         "mesh 0 \"Square\", primitive 0: index 16256 is out of range, there are 4 vertices",
     ),
-    ("\"bufferView\": 0, \"componentType\"", "\"componentType\"", "bufferView"),
     ("\"bufferView\": 0, \"componentType\"", "\"bufferView\": 77, \"componentType\"", "bufferView"),
     ("\"count\": 6,", "\"count\": 6, \"byteOffset\": 18446744073709551615,", "aligned"),
     ("\"count\": 6,", "\"count\": 6, \"byteOffset\": 18446744073709551512,", "reach to byte"),
@@ -105,12 +104,8 @@ const MALFORMED: &[(&str, &str, &str)] = &[
     ("\"emissiveFactor\": [1, 0.5, 0]", "\"emissiveFactor\": [3e38, 0.5, 0]", "emission is not finite"),
     ("\"doubleSided\": true", "\"alphaMode\": \"GLASS\"", "alphaMode"),
     ("\"doubleSided\": true", "\"emissiveTexture\": {\"index\": 0}", "emissiveTexture"),
-    ("\"intensity\": 40", "\"intensity\": -40", "light 0 \"Lamp\": its intensity"),
     ("\"intensity\": 40", "\"intensity\": 1e39", "intensity"),
-    ("\"color\": [1, 0.5, 0.25]", "\"color\": [1, -0.5, 0.25]", "colour"),
-    ("\"range\": 8", "\"range\": 0", "range"),
-    ("\"outerConeAngle\": 0.5", "\"outerConeAngle\": 0.2", "cone angles"),
-    ("\"outerConeAngle\": 0.5", "\"outerConeAngle\": 3", "cone angles"),
+    ("\"outerConeAngle\": 0.5", "\"outerConeAngle\": -1", "cone angles"),
     ("\"type\": \"spot\"", "\"type\": \"laser\"", "type"),
     (", \"spot\": {\"innerConeAngle\": 0.25, \"outerConeAngle\": 0.5}", "", "spot"),
     ("{\"light\": 0}", "{\"light\": 1}", "light"),
@@ -142,8 +137,11 @@ fn broken_containers_are_refused() {
     };
     let cases = [
         (Vec::new(), "starts with the letters"),
+        (b"solid cube".to_vec(), "starts with the letters"),
         (b"glTF".to_vec(), "ends within its header"),
-        (b"{\"asset\": {}}".to_vec(), "starts with the letters"),
+        (b"{\"asset\": {}}".to_vec(), "version"),
+        (b"PK".to_vec(), "archive"),
+        (b"PK\x05\x06\0\0\0\0\0\0\x01\0".to_vec(), "archive"),
         (patched(4, &[1]), "container version 1"),
         (patched(8, &u32::MAX.to_le_bytes()), "header states a length"),
         (patched(8, &4_u32.to_le_bytes()), "header states a length"),
@@ -161,7 +159,7 @@ fn broken_containers_are_refused() {
 
 #[test]
 fn numbers_in_the_data_must_be_finite() {
-    for (at, value, words) in [(4, f32::NAN, "POSITION: value 0"), (60, f32::INFINITY, "NORMAL: value 1")] {
+    for (at, value, words) in [(4, f32::NAN, "POSITION: value 0"), (16, f32::INFINITY, "POSITION: value 1")] {
         let mut bin = square_data();
         bin[at..at + 4].copy_from_slice(&value.to_le_bytes());
         let error = load(&glb(SQUARE, &bin)).unwrap_err();
@@ -176,16 +174,10 @@ fn what_cannot_be_baked_is_told_apart_from_what_is_broken() {
     let uri = |uri: &str| format!("\"buffers\": [{{\"byteLength\": 128, \"uri\": \"{uri}\"}}]");
     let buffers = "\"buffers\": [{\"byteLength\": 128}]";
     let cases = [
-        (used, required("KHR_draco_mesh_compression"), "KHR_draco_mesh_compression"),
-        (used, required("EXT_meshopt_compression"), "EXT_meshopt_compression"),
+        (used, required("KHR_gaussian_splatting"), "KHR_gaussian_splatting"),
+        (used, required("VENDOR_x"), "VENDOR_x"),
         (buffers, uri("room.bin"), "room.bin"),
-        (buffers, uri("data:application/octet-stream;base64,AAAA"), "data:application"),
         (buffers, uri("http://localhost/room.bin"), "http://localhost"),
-        ("\"doubleSided\": true", "\"alphaMode\": \"BLEND\"".into(), "no triangle"),
-        ("\"mode\": 4", "\"mode\": 1".into(), "points and lines"),
-        ("\"scale\": [2, 2, 2]", "\"scale\": [0, 0, 0]".into(), "scale of zero"),
-        ("\"mesh\": 0, ", String::new(), "no triangle"),
-        ("\"nodes\": [0, 1]", "\"nodes\": [1]".into(), "no triangle"),
     ];
     for (from, to, words) in cases {
         match load(&edited(&[(from, &to)])) {
@@ -210,13 +202,27 @@ fn limits_are_kept_before_memory_is_spent() {
         (&file, LoadLimits { max_objects: 0, ..limits.clone() }, "objects"),
         (&file, LoadLimits { max_lights: 1, ..limits.clone() }, "lights"),
         (&file, LoadLimits { max_triangles: 1, ..limits.clone() }, "triangles"),
+        (&file, LoadLimits { max_materials: 1, ..limits.clone() }, "extensionsUsed"),
         (&file, LoadLimits { max_vertices: 3, ..limits }, "vertices"),
     ];
     for (file, limits, words) in cases {
-        match load_glb(file, &limits) {
+        match super::super::load(file, &limits) {
             Err(LoadError::TooLarge(text)) => assert!(text.contains(words), "{words}: {text}"),
             other => panic!("{words}: {other:?}"),
         }
+    }
+}
+
+/// Two bytes of JSON are hundreds in memory: they are counted first.
+#[test]
+fn empty_entries_are_counted_before_they_are_read() {
+    let many = format!("\"materials\": [{}{{", "{}, ".repeat(200_000));
+    for (from, to, words) in [
+        ("\"materials\": [{", many.as_str(), "materials"),
+        ("\"scene\": 0", &format!("\"extras\": [{}0], \"scene\": 0", "[],".repeat(9_000_000)), "objects and lists"),
+    ] {
+        let result = load(&edited(&[(from, to)])).map(|_| ());
+        assert!(matches!(&result, Err(LoadError::TooLarge(text)) if text.contains(words)), "{result:?}");
     }
 }
 

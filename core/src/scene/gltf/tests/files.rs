@@ -1,0 +1,97 @@
+//! Documents with their data elsewhere: within the JSON, in an archive, in a folder.
+
+use std::io::{Cursor, Write};
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use zip::write::SimpleFileOptions;
+
+use super::super::{load_path, tests};
+use super::*;
+
+const BUFFERS: &str = "\"buffers\": [{\"byteLength\": 128}]";
+
+fn with_uri(uri: &str) -> String {
+    SQUARE.replace(BUFFERS, &format!("\"buffers\": [{{\"byteLength\": 128, \"uri\": \"{uri}\"}}]"))
+}
+
+fn archive(files: &[(&str, &[u8])]) -> Vec<u8> {
+    let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    for (name, data) in files {
+        zip.start_file(*name, SimpleFileOptions::default()).unwrap();
+        zip.write_all(data).unwrap();
+    }
+    zip.finish().unwrap().into_inner()
+}
+
+fn is_square(scene: &Scene) -> bool {
+    scene.objects.len() == 1 && scene.objects[0].mesh.triangles == [[0, 1, 2], [0, 2, 3]]
+}
+
+#[test]
+fn data_is_found_within_the_document_and_beside_it() {
+    let data = square_data();
+    let inline = with_uri(&format!("data:application/octet-stream;base64,{}", STANDARD.encode(&data)));
+    let beside = with_uri("buffers/room%201.bin");
+    assert!(is_square(&load(inline.as_bytes()).unwrap()));
+    assert!(is_square(&load(format!("\u{feff} {inline}").as_bytes()).unwrap()));
+    assert!(is_square(&load(&glb(&inline, &[])).unwrap()));
+    let zips = [
+        archive(&[("room.gltf", beside.as_bytes()), ("buffers/room 1.bin", &data)]),
+        archive(&[("export/Room.GLTF", beside.as_bytes()), ("export/Buffers/Room 1.BIN", &data), ("a.txt", b"")]),
+        archive(&[("room.glb", &edited(&[]))]),
+    ];
+    for zip in &zips {
+        assert!(is_square(&load(zip).unwrap()));
+    }
+    let folder = std::env::temp_dir().join(format!("rebake-files-{}", std::process::id()));
+    std::fs::create_dir_all(folder.join("buffers")).unwrap();
+    std::fs::write(folder.join("room.gltf"), &beside).unwrap();
+    std::fs::write(folder.join("buffers/room 1.bin"), &data).unwrap();
+    let scene = load_path(&folder.join("room.gltf"), &LoadLimits::default());
+    std::fs::remove_dir_all(&folder).unwrap();
+    assert!(is_square(&scene.unwrap()));
+}
+
+#[test]
+fn what_is_missing_or_too_much_is_told() {
+    let (data, beside) = (square_data(), with_uri("room.bin"));
+    let bomb = vec![0; 1 << 20];
+    let limits = LoadLimits { max_unpacked_bytes: 1 << 16, ..LoadLimits::default() };
+    let load = |bytes: &[u8]| super::super::load(bytes, &limits).map(|_| ()).unwrap_err();
+    let cases = [
+        (beside.clone().into_bytes(), "room.bin"),
+        (with_uri("../../etc/room.bin").into_bytes(), "room.bin"),
+        (archive(&[("room.gltf", beside.as_bytes())]), "room.bin"),
+        (archive(&[("room.gltf", beside.as_bytes()), ("room.bin", &data[..100])]), "states 128 bytes"),
+        (archive(&[("room.gltf", beside.as_bytes()), ("room.bin", &bomb)]), "unpacked"),
+        (archive(&[("room.txt", b"")]), "neither"),
+        (archive(&[("a.gltf", beside.as_bytes()), ("b.gltf", beside.as_bytes())]), "several"),
+        (with_uri("data:application/octet-stream;base64,####").into_bytes(), "base64"),
+        (with_uri("data:text/plain,hello").into_bytes(), "base64"),
+    ];
+    for (bytes, words) in cases {
+        let error = load(&bytes);
+        assert!(error.to_string().contains(words), "{words}: {error}");
+    }
+    assert!(matches!(load(&tests::glb(&with_uri("room.bin"), &data)), LoadError::Unsupported(_)));
+}
+
+#[test]
+fn damaged_archives_do_not_panic() {
+    let whole = archive(&[("room.gltf", with_uri("room.bin").as_bytes()), ("room.bin", &square_data())]);
+    let mut random = fuzz::Random(5);
+    let mut refused = 0;
+    for _ in 0..2000 {
+        let mut file = whole.clone();
+        for _ in 0..=random.below(3) {
+            let at = random.below(file.len());
+            file[at] ^= 1 << random.below(8);
+        }
+        if random.below(8) == 0 {
+            file.truncate(random.below(file.len()));
+        }
+        refused += usize::from(load(&file).is_err());
+    }
+    assert!(refused > 200, "{refused}");
+}

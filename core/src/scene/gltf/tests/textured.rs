@@ -1,0 +1,142 @@
+//! Textures: their means, their places, and what is not there.
+
+use std::io::Cursor;
+
+use glam::{Vec2, Vec3};
+use image::ImageFormat;
+
+use super::*;
+use crate::scene::{AlphaMode, Wrap};
+
+/// The square with a picture as its base colour and emissive texture, and texture coordinates that are its positions.
+fn textured(image: &[u8], edits: &[(&str, &str)]) -> Vec<u8> {
+    let mut bin = square_data();
+    // The square's texture coordinates.
+    bin.extend([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0_f32]].iter().flatten().flat_map(|c| c.to_le_bytes()));
+    let start = bin.len();
+    bin.extend(image);
+    bin.resize(bin.len().next_multiple_of(4), 0);
+    let texture =
+        "\"emissiveTexture\": {\"index\": 0}, \"pbrMetallicRoughness\": {\"baseColorTexture\": {\"index\": 0}, ";
+    let images =
+        "\"textures\": [{\"source\": 0}], \"images\": [{\"bufferView\": 6, \"mimeType\": \"image/png\"}], \"meshes\"";
+    let views = format!(
+        "\"byteLength\": 16}}, {{\"buffer\": 0, \"byteOffset\": 128, \"byteLength\": 32}}, \
+         {{\"buffer\": 0, \"byteOffset\": {start}, \"byteLength\": {}}}",
+        image.len()
+    );
+    let texcoords =
+        "\"type\": \"SCALAR\"}, {\"bufferView\": 5, \"componentType\": 5126, \"count\": 4, \"type\": \"VEC2\"}";
+    let mut json = SQUARE
+        .replace("\"pbrMetallicRoughness\": {", texture)
+        .replace("\"meshes\"", images)
+        .replace("\"NORMAL\": 1}", "\"NORMAL\": 1, \"TEXCOORD_0\": 3}")
+        .replace("\"type\": \"SCALAR\"}", texcoords)
+        .replace("\"byteLength\": 16}", &views)
+        .replace("[{\"byteLength\": 128}]", &format!("[{{\"byteLength\": {}}}]", bin.len()));
+    for (from, to) in edits {
+        assert!(json.contains(from), "{from}: {json}");
+        json = json.replace(from, to);
+    }
+    glb(&json, &bin)
+}
+
+/// Left half black, right half red.
+fn encoded(format: ImageFormat) -> Vec<u8> {
+    let mut bytes = Cursor::new(Vec::new());
+    let picture = image::RgbImage::from_fn(16, 8, |x, _| image::Rgb(if x < 8 { [0, 0, 0] } else { [255, 0, 0] }));
+    picture.write_to(&mut bytes, format).unwrap();
+    bytes.into_inner()
+}
+
+#[test]
+fn embedded_textures_count_with_their_mean() {
+    for (format, tolerance) in [(ImageFormat::Png, 1e-4), (ImageFormat::WebP, 1e-4), (ImageFormat::Jpeg, 0.02)] {
+        let scene = load(&textured(&encoded(format), &[])).unwrap();
+        let paint = scene.objects[0].materials[0];
+        assert!(paint.albedo.distance(Vec3::new(0.25, 0.0, 0.0)) < tolerance, "{paint:?}");
+        assert!(paint.emission.distance(Vec3::new(1.5, 0.0, 0.0)) < 3.0 * tolerance, "{paint:?}");
+        assert_eq!(scene.lights[0].strength(), paint.emission);
+        assert!(scene.warnings.iter().any(|text| text.contains("mean colour")), "{:?}", scene.warnings);
+    }
+}
+
+#[test]
+fn places_of_textures_are_kept() {
+    let scene = load(&textured(&encoded(ImageFormat::Png), &[])).unwrap();
+    let (object, mesh) = (&scene.objects[0], &scene.objects[0].mesh);
+    let look = object.looks[0].as_ref().unwrap();
+    assert_eq!(
+        (look.factor, look.emission, look.alpha_mode),
+        (Vec3::new(0.5, 0.25, 0.125), Vec3::new(3.0, 1.5, 0.0), AlphaMode::Opaque)
+    );
+    assert_eq!((mesh.texcoords[0].len(), mesh.texcoords[1].len(), mesh.colors.len()), (4, 0, 0));
+    let texture = look.base_color.as_ref().unwrap();
+    assert_eq!(texture.wrap, [Wrap::Repeat; 2]);
+    // The lower right triangle is red over three quarters.
+    let corners = mesh.triangles[0].map(|corner| mesh.texcoords[0][corner as usize]);
+    let mean = texture.mean_over(corners);
+    assert!((mean.color - Vec3::X * 0.75).abs().max_element() < 1e-4, "{mean:?}");
+    // The same picture is kept once.
+    assert!(std::sync::Arc::ptr_eq(&texture.texture, &look.emissive.as_ref().unwrap().texture));
+}
+
+/// Rotation turns counter-clockwise about the upper left corner, scale comes before it, offset behind.
+#[test]
+fn transforms_of_textures_are_read() {
+    let transform = "\"baseColorTexture\": {\"index\": 0, \"texCoord\": 1, \"extensions\": {\"KHR_texture_transform\": \
+                     {\"offset\": [0.25, 1], \"rotation\": 1.5707964, \"scale\": [0.5, 2], \"texCoord\": 0}}}";
+    let scene =
+        load(&textured(&encoded(ImageFormat::Png), &[("\"baseColorTexture\": {\"index\": 0}", transform)])).unwrap();
+    let look = scene.objects[0].looks[0].as_ref().unwrap();
+    let texture = look.base_color.as_ref().unwrap();
+    assert_eq!(texture.texcoord, 0);
+    for (from, to) in [(Vec2::ZERO, [0.25, 1.0]), (Vec2::X, [0.25, 0.5]), (Vec2::Y, [2.25, 1.0])] {
+        assert!(texture.map(from).distance(Vec2::from_array(to)) < 1e-5, "{from}: {}", texture.map(from));
+    }
+}
+
+#[test]
+fn missing_textures_are_grey_unless_the_file_requires_them() {
+    let elsewhere = ("{\"bufferView\": 6, \"mimeType\": \"image/png\"}", "{\"uri\": \"wood.png\"}");
+    let basis = ("[{\"source\": 0}]", "[{\"extensions\": {\"KHR_texture_basisu\": {\"source\": 0}}}]");
+    let webp = ("[{\"source\": 0}]", "[{\"extensions\": {\"EXT_texture_webp\": {\"source\": 0}}}]");
+    let png = encoded(ImageFormat::Png);
+    for edit in [elsewhere, basis] {
+        let scene = load(&textured(&png, &[edit])).unwrap();
+        assert_eq!(scene.objects[0].materials[0].albedo, Vec3::new(0.25, 0.125, 0.0625));
+        assert!(scene.warnings.iter().any(|text| text.contains("albedo")), "{:?}", scene.warnings);
+    }
+    let required = |name: &str| format!("\"extensionsRequired\": [\"{name}\"], \"extensionsUsed\": [");
+    let needs = required("KHR_texture_basisu");
+    let refused = load(&textured(&png, &[basis, ("\"extensionsUsed\": [", &needs)]));
+    assert!(matches!(&refused, Err(LoadError::Unsupported(text)) if text.contains("KHR_texture_basisu")));
+    let needs = required("EXT_texture_webp");
+    let webp = load(&textured(&encoded(ImageFormat::WebP), &[webp, ("\"extensionsUsed\": [", &needs)])).unwrap();
+    assert!((webp.objects[0].materials[0].albedo - Vec3::X * 0.25).abs().max_element() < 1e-4);
+    let odd = load(&textured(b"neither of them ", &[])).unwrap();
+    assert!(odd.warnings.iter().any(|text| text.contains("neither PNG")), "{:?}", odd.warnings);
+}
+
+#[test]
+fn broken_and_large_textures_are_refused() {
+    let png = encoded(ImageFormat::Png);
+    let load = |image: &[u8], limits| super::super::load(&textured(image, &[]), &limits).map(|_| ());
+    let limits = LoadLimits::default();
+    assert!(matches!(load(&png[..png.len() / 2], limits.clone()), Err(LoadError::Malformed(_))));
+    assert!(matches!(load(b"RIFF\x0c\0\0\0WEBPVP8 ", limits.clone()), Err(LoadError::Malformed(_))));
+    let small = LoadLimits { max_texture_pixels: 127, ..limits.clone() };
+    assert!(matches!(load(&png, small), Err(LoadError::TooLarge(_))));
+    let few = LoadLimits { max_total_texture_pixels: 127, ..limits };
+    assert!(matches!(load(&png, few), Err(LoadError::TooLarge(_))));
+    // A header of 65,535 x 65,535 pixels: refused before memory is spent.
+    let mut huge = png;
+    huge[16..24].copy_from_slice(&[0, 0, 255, 255, 0, 0, 255, 255]);
+    assert!(load(&huge, LoadLimits::default()).is_err());
+}
+
+#[test]
+fn vertex_colours_are_kept() {
+    let scene = load(&edited(&[("\"NORMAL\": 1}", "\"NORMAL\": 1, \"COLOR_0\": 1}")])).unwrap();
+    assert_eq!(scene.objects[0].mesh.colors, [glam::Vec4::new(0.0, 0.0, 1.0, 1.0); 4]);
+}

@@ -1,0 +1,194 @@
+//! Pictures of a file, decoded one at a time and kept at the size that light needs.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::io::Cursor;
+use std::sync::Arc;
+
+use ::gltf::json;
+use glam::{Mat2, Vec2};
+use image::{ImageDecoder, ImageFormat, ImageReader};
+use json::texture::WrappingMode;
+use json::validation::Checked;
+
+use super::container::File;
+use super::files::{Named, resolve};
+use super::views::view_bytes;
+use super::warnings::Warnings;
+use super::{LoadError, LoadLimits, malformed};
+use crate::scene::{AlphaUse, Texture, TextureUse, Wrap};
+
+/// Memory that a decoder may use beside the picture, bytes.
+const DECODER_BYTES: u64 = 64 << 20;
+/// Texels of one texture that are kept at most and, where many are, at least.
+const KEPT_TEXELS: (usize, usize) = (1 << 12, 1 << 20);
+
+/// Textures of a file, each decoded once per meaning of its alpha.
+#[derive(Debug)]
+pub(super) struct Textures<'f> {
+    file: &'f File<'f>,
+    max_pixels: u64,
+    total_pixels_left: u64,
+    kept_texels_left: usize,
+    /// By image and what its alpha means. None: not there, or in a format that is not read.
+    known: BTreeMap<(usize, AlphaKey), Option<Arc<Texture>>>,
+}
+
+type AlphaKey = (u8, u32);
+
+impl<'f> Textures<'f> {
+    pub(super) fn new(file: &'f File<'f>, limits: &LoadLimits) -> Self {
+        Self {
+            file,
+            max_pixels: limits.max_texture_pixels,
+            total_pixels_left: limits.max_total_texture_pixels,
+            kept_texels_left: limits.max_kept_texels,
+            known: BTreeMap::new(),
+        }
+    }
+
+    /// A texture as a material refers to it; none, with a warning, where it cannot be had.
+    pub(super) fn get(
+        &mut self,
+        info: &json::texture::Info,
+        alpha: AlphaUse,
+        kind: &str,
+        place: &str,
+        warnings: &mut Warnings,
+    ) -> Result<Option<TextureUse>, LoadError> {
+        let root = &self.file.root;
+        let texture = root.get(info.index).ok_or_else(|| malformed(place, "its texture does not exist"))?;
+        let Some(image) = self.image_of(info.index.value(), texture, kind, place, warnings)? else { return Ok(None) };
+        let key = (image, alpha_key(alpha));
+        let picture = match self.known.get(&key) {
+            Some(known) => known.clone(),
+            None => {
+                let read = self.read(image, alpha, warnings)?.map(Arc::new);
+                self.known.insert(key, read.clone());
+                read
+            }
+        };
+        let Some(picture) = picture else {
+            warnings.add(format!("missing {kind} textures: mid grey stands for their colour (albedo 0.5)"), place);
+            return Ok(None);
+        };
+        let transform = info.extensions.as_ref().and_then(|extensions| extensions.texture_transform.as_ref());
+        let texcoord = transform.and_then(|transform| transform.tex_coord).unwrap_or(info.tex_coord);
+        if texcoord > 1 {
+            warnings
+                .add("texture coordinates beyond TEXCOORD_1 are not read: their textures count with their mean", place);
+        }
+        let (linear, offset) = transform.map_or((Mat2::IDENTITY, Vec2::ZERO), matrix_of);
+        if !(linear.is_finite() && offset.is_finite()) {
+            return Err(malformed(place, "a texture transform has a number that is not finite"));
+        }
+        let wrap = self.wrap_of(texture);
+        Ok(Some(TextureUse { texture: picture, texcoord: texcoord as usize, linear, offset, wrap }))
+    }
+
+    /// The image of a texture in the best format that is read.
+    fn image_of(
+        &self,
+        index: usize,
+        texture: &json::Texture,
+        kind: &str,
+        place: &str,
+        warnings: &mut Warnings,
+    ) -> Result<Option<usize>, LoadError> {
+        let extensions = self.file.more.texture(index);
+        let webp = extensions.and_then(|e| e.webp.as_ref()?.source).map(|image| image.value());
+        let own = Some(texture.source.value()).filter(|image| *image != u32::MAX as usize);
+        if let Some(image) = webp.or(own) {
+            return Ok(Some(image));
+        }
+        let unread = extensions.and_then(|e| {
+            let all = [("KHR_texture_basisu", &e.basisu), ("EXT_texture_avif", &e.avif), ("MSFT_texture_dds", &e.dds)];
+            all.into_iter().find(|(_, source)| source.is_some()).map(|(name, _)| name)
+        });
+        let name = unread.unwrap_or("no image");
+        if self.file.root.extensions_required.iter().any(|required| required == name) {
+            let text = format!("{place}: its {kind} texture needs the extension {name}, which is not supported");
+            return Err(LoadError::Unsupported(text));
+        }
+        let text =
+            format!("missing {kind} textures ({name} is not read): mid grey stands for their colour (albedo 0.5)");
+        warnings.add(text, place);
+        Ok(None)
+    }
+
+    fn wrap_of(&self, texture: &json::Texture) -> [Wrap; 2] {
+        let sampler = texture.sampler.and_then(|sampler| self.file.root.get(sampler));
+        let modes = sampler.map(|sampler| [sampler.wrap_s, sampler.wrap_t]);
+        modes.unwrap_or_default().map(|mode| match mode {
+            Checked::Valid(WrappingMode::ClampToEdge) => Wrap::Clamp,
+            Checked::Valid(WrappingMode::MirroredRepeat) => Wrap::Mirror,
+            Checked::Valid(WrappingMode::Repeat) | Checked::Invalid => Wrap::Repeat,
+        })
+    }
+
+    fn read(&mut self, index: usize, alpha: AlphaUse, warnings: &mut Warnings) -> Result<Option<Texture>, LoadError> {
+        let place = format!("image {index}");
+        let Some(bytes) = self.bytes_of(index, &place)? else { return Ok(None) };
+        // By its first bytes: the stated type is often wrong.
+        let format = match image::guess_format(&bytes) {
+            Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP)) => format,
+            _ => {
+                warnings.add("images that are neither PNG, JPEG nor WebP are not read", place);
+                return Ok(None);
+            }
+        };
+        let broken = |error: image::ImageError| malformed(&place, &format!("cannot be decoded: {error}"));
+        let mut reader = ImageReader::with_format(Cursor::new(&*bytes), format);
+        // The decoder's own limits hold from its first allocation on.
+        let mut limits = image::Limits::default();
+        limits.max_alloc = Some(self.max_pixels.saturating_mul(8).saturating_add(DECODER_BYTES));
+        reader.limits(limits);
+        let decoder = reader.into_decoder().map_err(broken)?;
+        let (width, height) = decoder.dimensions();
+        let pixels = u64::from(width) * u64::from(height);
+        if pixels > self.max_pixels || pixels > self.total_pixels_left {
+            return Err(LoadError::TooLarge(format!(
+                "{place}: has {width} x {height} pixels, at most {} are allowed, and {} in all textures that are left",
+                self.max_pixels, self.total_pixels_left
+            )));
+        }
+        if pixels == 0 {
+            return Err(malformed(&place, "has no pixels"));
+        }
+        self.total_pixels_left -= pixels;
+        let picture = image::DynamicImage::from_decoder(decoder).map_err(broken)?.into_rgba8();
+        let kept = (self.kept_texels_left / 8).clamp(KEPT_TEXELS.0, KEPT_TEXELS.1);
+        let texture = Texture::new(width, height, picture.as_raw(), alpha, kept);
+        let (width, height) = texture.size();
+        self.kept_texels_left = self.kept_texels_left.saturating_sub(width as usize * height as usize);
+        Ok(Some(texture))
+    }
+
+    fn bytes_of(&self, index: usize, place: &str) -> Result<Option<Cow<'f, [u8]>>, LoadError> {
+        let image = self.file.root.images.get(index).ok_or_else(|| malformed(place, "does not exist"))?;
+        if let Some(view) = image.buffer_view {
+            return view_bytes(self.file, view, place).map(|bytes| Some(Cow::Borrowed(bytes)));
+        }
+        let Some(uri) = &image.uri else { return Ok(None) };
+        Ok(match resolve(uri, self.file.files, &self.file.unpacked, place)? {
+            Named::Here(bytes) => Some(Cow::Owned(bytes)),
+            Named::Missing => None,
+        })
+    }
+}
+
+fn alpha_key(alpha: AlphaUse) -> AlphaKey {
+    match alpha {
+        AlphaUse::Ignored => (0, 0),
+        AlphaUse::Cutoff(cutoff) => (1, cutoff.to_bits()),
+        AlphaUse::Blend => (2, 0),
+    }
+}
+
+/// `KHR_texture_transform`: scaled, then turned (counter-clockwise, with v down), then moved.
+fn matrix_of(transform: &json::extensions::texture::TextureTransform) -> (Mat2, Vec2) {
+    let (sin, cos) = transform.rotation.0.sin_cos();
+    let [x, y] = transform.scale.0;
+    let linear = Mat2::from_cols(Vec2::new(cos, -sin) * x, Vec2::new(sin, cos) * y);
+    (linear, Vec2::from_array(transform.offset.0))
+}

@@ -1,0 +1,163 @@
+//! Albedo by place: every element has the mean of what its footprint shows, in linear light, so that the energy is right and
+//! no texture is read while rays are traced (design, section 11).
+
+use glam::{Vec2, Vec3};
+
+use super::layout::Layout;
+use crate::scene::{Look, Mesh, Object};
+use crate::surface::{Surface, barycentrics};
+
+/// Albedos by place are at most this, or what their material was allowed to have.
+const MOST_ALBEDO: f32 = 0.95;
+
+/// Per element of one side: mean of base colour × vertex colour × factor over its cells, weighted by area, holes left out. None
+/// where every material of an object is the same all over.
+pub(crate) fn albedos(object: &Object, surface: &Surface, layout: &Layout) -> Option<Vec<Vec3>> {
+    let look = |material: usize| object.looks.get(material).and_then(Option::as_deref);
+    let is_textured = |material: usize| look(material).is_some_and(|look| look.base_color.is_some());
+    let mesh = &*object.mesh;
+    if mesh.colors.is_empty() && !(0..object.materials.len()).any(is_textured) {
+        return None;
+    }
+    // Of every cell: its elements, and colour and weight of what it shows.
+    let cells = layout.of_cells(surface, |patch| {
+        let material = surface.triangle_materials[patch.face as usize] as usize;
+        let corners = Corners::new(mesh, surface, patch.face);
+        let places = patch.corners.map(|corner| barycentrics(corner, surface.corners(patch.face as usize)));
+        let uniform = object.materials[material].albedo;
+        let (color, weight) = match look(material) {
+            Some(look) => corners.shown(look, &places),
+            None => (uniform * corners.color(&places), 1.0),
+        };
+        let [a, b, c] = patch.corners;
+        let limit = Vec3::splat(MOST_ALBEDO.max(uniform.max_element()));
+        Some((patch.elements, color.clamp(Vec3::ZERO, limit), weight * (b - a).cross(c - a).length(), uniform))
+    });
+    let mut sums = vec![(Vec3::ZERO, 0.0_f32, Vec3::ZERO); layout.len()];
+    for (element, color, weight, uniform) in
+        cells.into_iter().flat_map(|(elements, color, weight, uniform)| elements.map(|e| (e, color, weight, uniform)))
+    {
+        let sum = &mut sums[element as usize];
+        *sum = (sum.0 + color * weight, sum.1 + weight, uniform);
+    }
+    // An element between holes alone is seen by nobody.
+    let mean = |(color, weight, uniform): (Vec3, f32, Vec3)| if weight > 0.0 { color / weight } else { uniform };
+    Some(sums.into_iter().map(mean).collect())
+}
+
+/// What the mesh has at the corners of a triangle.
+struct Corners {
+    texcoords: [[Vec2; 3]; 2],
+    colors: [Vec3; 3],
+}
+
+impl Corners {
+    fn new(mesh: &Mesh, surface: &Surface, face: u32) -> Corners {
+        let source = surface.sources[face as usize];
+        let [a, b, c] = mesh.triangles[source.triangle()];
+        let vertices = if source.turned() { [a, c, b] } else { [a, b, c] }.map(|vertex| vertex as usize);
+        let texcoords = [0, 1].map(|set| vertices.map(|v| mesh.texcoords[set].get(v).copied().unwrap_or_default()));
+        let colors = vertices.map(|v| mesh.colors.get(v).map_or(Vec3::ONE, |color| color.truncate()));
+        Corners { texcoords, colors }
+    }
+
+    /// Mean vertex colour of a cell, whose corners are given by barycentric weights.
+    fn color(&self, places: &[[f32; 3]; 3]) -> Vec3 {
+        let at = |weights: &[f32; 3]| self.colors.iter().zip(weights).map(|(color, w)| *color * *w).sum::<Vec3>();
+        places.iter().map(at).sum::<Vec3>() / 3.0
+    }
+
+    /// Mean colour of a cell, and the share of it that is no hole.
+    fn shown(&self, look: &Look, places: &[[f32; 3]; 3]) -> (Vec3, f32) {
+        let factor = look.factor * self.color(places);
+        let Some(texture) = &look.base_color else { return (factor, 1.0) };
+        let texcoords = &self.texcoords[texture.texcoord.min(1)];
+        let at = |weights: [f32; 3]| texcoords.iter().zip(weights).map(|(uv, w)| *uv * w).sum::<Vec2>();
+        let mean = texture.mean_over(places.map(at));
+        (factor * mean.color, mean.weight)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use glam::{DMat4, Mat2, Vec4};
+
+    use super::*;
+    use crate::edit::Edit;
+    use crate::scene::{AlphaUse, Material, Scene, Texture, TextureUse, Wrap};
+    use crate::world::{World, WorldOptions};
+
+    /// A square of a metre whose texture is black on the left and white on the right, and transparent on top.
+    fn square(alpha: AlphaUse) -> Object {
+        let texel = |x: u32, y: u32| {
+            [255 * u8::from(x >= 4), 255 * u8::from(x >= 4), 255 * u8::from(x >= 4), 255 * u8::from(y >= 4)]
+        };
+        let texels: Vec<u8> = (0..64).flat_map(|i| texel(i % 8, i / 8)).collect();
+        let texture = Arc::new(Texture::new(8, 8, &texels, alpha, 1 << 20));
+        let base_color =
+            TextureUse { texture, texcoord: 0, linear: Mat2::IDENTITY, offset: Vec2::ZERO, wrap: [Wrap::Clamp; 2] };
+        let look = Look { base_color: Some(base_color), ..Look::plain(Vec3::new(0.5, 0.25, 1.0)) };
+        let mut mesh = Mesh::quad(Vec3::ZERO, Vec3::X, Vec3::Y);
+        mesh.texcoords[0] = mesh.positions.iter().map(|p| Vec2::new(p.x, p.y)).collect();
+        let mut object = Object::new("square", mesh, Material::diffuse(Vec3::splat(0.3)));
+        object.looks = vec![Some(Arc::new(look))];
+        object
+    }
+
+    fn laid(object: &Object) -> (Vec<Vec3>, Vec<Vec3>) {
+        let surface = Surface::build(object, DMat4::IDENTITY).expect("a square");
+        let (layout, elements) = Layout::new(&surface, 0.05, 10_000).expect("elements");
+        (elements.positions, albedos(object, &surface, &layout).expect("albedos"))
+    }
+
+    #[test]
+    fn elements_have_the_mean_of_what_they_show() {
+        let (positions, albedos) = laid(&square(AlphaUse::Ignored));
+        let mut area = 0.0;
+        for (p, albedo) in positions.iter().zip(&albedos) {
+            match p.x {
+                // A texel is an eighth of the square; the edge between both halves is sharp, footprints are not.
+                x if x < 0.4 => assert_eq!(*albedo, Vec3::ZERO),
+                x if x > 0.6 => assert!(albedo.distance(Vec3::new(0.5, 0.25, 0.95)) < 1e-3, "{albedo}"),
+                _ => area += 1.0,
+            }
+        }
+        assert!(area > 0.0, "some lie between");
+        // Where holes are left out, what is left counts in full.
+        let (positions, albedos) = laid(&square(AlphaUse::Cutoff(0.5)));
+        let holes = positions.iter().zip(&albedos).filter(|(p, _)| p.x > 0.6 && p.y < 0.4);
+        assert!(holes.clone().count() > 0 && holes.clone().all(|(_, albedo)| *albedo == Vec3::splat(0.3)));
+    }
+
+    #[test]
+    fn vertex_colours_count() {
+        let mut object =
+            Object::new("quad", Mesh::quad(Vec3::ZERO, Vec3::X, Vec3::Y), Material::diffuse(Vec3::splat(0.5)));
+        let mesh = Arc::make_mut(&mut object.mesh);
+        mesh.colors = mesh.positions.iter().map(|p| Vec4::new(p.x, 1.0, 0.0, 1.0)).collect();
+        let (positions, albedos) = laid(&object);
+        let within = |p: &Vec3| p.x > 0.1 && p.x < 0.9 && p.y > 0.1 && p.y < 0.9;
+        for (p, albedo) in positions.iter().zip(&albedos).filter(|(p, _)| within(p)) {
+            assert!(albedo.distance(Vec3::new(0.5 * p.x, 0.5, 0.0)) < 0.01, "{albedo} at {p}");
+        }
+    }
+
+    /// One albedo for all of a textured object takes the picture off: the same as if it never had one.
+    #[test]
+    fn painting_takes_the_picture_off() {
+        let options = WorldOptions { spacing: Some(0.1), ..WorldOptions::default() };
+        let lamp = Object::new("lamp", Mesh::quad(Vec3::Z, Vec3::X, Vec3::Y), Material::emissive(Vec3::ONE));
+        let scene = Scene::from_objects(vec![square(AlphaUse::Ignored), lamp]);
+        let textured = World::new(scene, &options).expect("a world");
+        let albedo_of = |world: &World| world.objects().next().expect("a square").albedo;
+        assert!(albedo_of(&textured).distance(Vec3::new(0.25, 0.125, 0.475)) < 0.02, "{}", albedo_of(&textured));
+        let paint = Edit::Material { object: "square".into(), albedo: Vec3::new(0.1, 0.2, 0.3) };
+        let painted = textured.apply(&[paint]).expect("paint").after;
+        assert!(albedo_of(&painted).distance(Vec3::new(0.1, 0.2, 0.3)) < 1e-6);
+        assert_eq!(painted.objects().next().expect("a square").name, "square");
+        assert_eq!(painted.element_count(), textured.element_count());
+        assert_eq!(painted.scene.lights, textured.scene.lights);
+    }
+}
