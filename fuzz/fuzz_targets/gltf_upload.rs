@@ -9,6 +9,7 @@ fuzz_target!(|data: &[u8]| {
     // Small, so that each try is quick.
     let limits = LoadLimits {
         max_bytes: 1 << 20,
+        max_unpacked_bytes: 1 << 22,
         max_nodes: 1000,
         max_objects: 100,
         max_lights: 100,

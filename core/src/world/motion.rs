@@ -95,6 +95,31 @@ mod tests {
         assert!(world.apply(&[insert]).is_ok());
     }
 
+    /// A scene without objects is what some files are: lamps and furniture come by edits.
+    #[test]
+    fn an_empty_world_takes_its_first_object() {
+        struct Quiet;
+        impl crate::Observer for Quiet {}
+        let floor = Object::new("floor", Mesh::quad(Vec3::ZERO, Vec3::X, Vec3::Y), Material::diffuse(Vec3::splat(0.5)));
+        let sun = Light {
+            name: "sun".into(),
+            kind: LightKind::Directional { direction: Vec3::NEG_Z },
+            color: Vec3::ONE,
+            intensity: std::f32::consts::PI,
+        };
+        let asset = std::sync::Arc::new(Scene::from_objects(vec![floor]).with_light(sun));
+        let empty = World::new(Scene::from_objects(Vec::new()), &WorldOptions::default()).unwrap();
+        let budget = crate::Budget { samples_per_element: 8, target_rmse: None };
+        let map = crate::bake(&empty, &budget, 1, &Quiet).unwrap();
+        assert_eq!((map.len(), empty.slots()), (0, 0));
+        let insert = Edit::Insert { asset, name: "lamp".into(), transform: DMat4::IDENTITY };
+        let transition = empty.apply(&[insert]).unwrap();
+        let lit = crate::update(&transition, &map, &budget, None, 1, &Quiet).unwrap();
+        assert_eq!(lit.len(), transition.after.slots());
+        let light = |slot: usize| (lit.total(slot) - Vec3::ONE).abs().max_element();
+        assert!(transition.new_rows.iter().all(|&slot| light(slot as usize) < 1e-5), "{:?}", lit.total(0));
+    }
+
     #[test]
     fn rigid_motions_are_told_from_scalings_and_mirrors() {
         let turn = DMat4::from_rotation_y(0.7) * DMat4::from_translation(DVec3::new(1.0, 2.0, 3.0));

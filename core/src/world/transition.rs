@@ -81,7 +81,9 @@ impl Transition {
 
     /// Values in the slots of the new world.
     pub(crate) fn carry<T: Copy + Default + Send + Sync>(&self, values: &[T]) -> Vec<T> {
-        if values.is_empty() { Vec::new() } else { self.carry_each(|slot| values[slot]) }
+        // Nothing is known, unless there was nothing to know it of.
+        let is_absent = values.is_empty() && self.before.slots() > 0;
+        if is_absent { Vec::new() } else { self.carry_each(|slot| values[slot]) }
     }
 
     /// The same of what `value` tells of every slot of the old world.

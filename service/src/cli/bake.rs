@@ -31,7 +31,7 @@ threads, unless time ended it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
 pub(super) struct BakeArgs {
-    /// Scene to bake: a binary glTF file
+    /// Scene to bake: a .glb file, a .gltf file with its files beside it, or both in a zip archive
     #[arg(value_name = "SCENE.glb")]
     file: PathBuf,
     /// File to write
