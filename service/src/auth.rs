@@ -4,9 +4,11 @@
 //! `edit` includes `read`, `admin` includes both.
 
 use std::io;
+use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
 
+use axum::http::uri::Authority;
 use subtle::{Choice, ConditionallySelectable, ConstantTimeEq};
 
 /// What a token allows.
@@ -16,7 +18,7 @@ pub enum Scope {
     Read = 1,
     /// Upload, edit, cancel.
     Edit = 2,
-    /// Delete scenes.
+    /// Delete scenes and assets.
     Admin = 3,
 }
 
@@ -133,9 +135,39 @@ fn parse(text: &str) -> Result<Vec<Token>, TokenError> {
     if tokens.is_empty() { Err(TokenError::Empty) } else { Ok(tokens) }
 }
 
+/// Whether the host of `authority` is this machine, the address `own` holds that the service listens on, or another name
+/// in `own`; `*` in it means all. Where the service listens on all addresses it answers to every one of them, since what
+/// names an address was not resolved by anybody's name server.
+pub(crate) fn is_own_host(authority: &str, own: &[String]) -> bool {
+    let Ok(authority) = authority.parse::<Authority>() else { return false };
+    let host = authority.host().trim_start_matches('[').trim_end_matches([']', '.']);
+    let named = own.iter().any(|name| name == "*" || name.trim_end_matches('.').eq_ignore_ascii_case(host));
+    let is_address = host.parse::<IpAddr>().is_ok_and(|address| {
+        let on_all = || own.iter().any(|name| name.parse::<IpAddr>().is_ok_and(|own| own.is_unspecified()));
+        address.to_canonical().is_loopback() || on_all()
+    });
+    named || is_address || host.eq_ignore_ascii_case("localhost")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn own_hosts() {
+        let own = |host: &str, own: &[&str]| is_own_host(host, &own.iter().map(|&s| s.to_owned()).collect::<Vec<_>>());
+        for host in ["localhost", "LOCALHOST:7878", "localhost.", "127.0.0.1:80", "127.8.0.1", "[::1]:7878"] {
+            assert!(own(host, &[]), "{host}");
+        }
+        for host in
+            ["", "x", "evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "10.0.0.7", "a b", "@"]
+        {
+            assert!(!own(host, &["192.168.1.2"]), "{host}");
+        }
+        assert!(own("192.168.1.2:7878", &["192.168.1.2"]) && own("Bake.Studio:1", &["bake.studio"]));
+        assert!(own("10.0.0.7", &["0.0.0.0"]) && own("[fe80::1]", &["::"]) && !own("evil.example", &["0.0.0.0"]));
+        assert!(own("evil.example", &["*"]));
+    }
 
     #[test]
     fn token_files() {

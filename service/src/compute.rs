@@ -41,7 +41,17 @@ impl Compute {
         T: Send + 'static,
         F: FnOnce() -> T + Send + 'static,
     {
-        run_on(&self.short, task).await
+        run_on(&self.short, false, task).await
+    }
+
+    /// Like [`Compute::run`], for what only its caller wants: one that has gone away by the time its turn comes gets
+    /// nothing done.
+    pub(crate) async fn answer<T, F>(&self, task: F) -> Result<T, Panicked>
+    where
+        T: Send + 'static,
+        F: FnOnce() -> T + Send + 'static,
+    {
+        run_on(&self.short, true, task).await
     }
 
     /// Like [`Compute::run`], for tasks that may take seconds.
@@ -50,21 +60,16 @@ impl Compute {
         T: Send + 'static,
         F: FnOnce() -> T + Send + 'static,
     {
-        run_on(&self.builds, task).await
+        run_on(&self.builds, false, task).await
     }
 
-    /// Like [`Compute::run`], for pictures: they take seconds too, and wait for no upload.
+    /// Like [`Compute::answer`], for pictures: they take seconds too, and wait for no upload.
     pub(crate) async fn draw<T, F>(&self, task: F) -> Result<T, Panicked>
     where
         T: Send + 'static,
         F: FnOnce() -> T + Send + 'static,
     {
-        run_on(&self.pictures, task).await
-    }
-
-    /// Runs a task that may take seconds here and now; for the start of the service.
-    pub(crate) fn install<T: Send>(&self, task: impl FnOnce() -> T + Send) -> T {
-        self.builds.install(task)
+        run_on(&self.pictures, true, task).await
     }
 
     /// Runs a task that may take seconds; nobody waits for it.
@@ -77,7 +82,8 @@ impl Compute {
     }
 }
 
-async fn run_on<T, F>(pool: &ThreadPool, task: F) -> Result<T, Panicked>
+/// `for_caller`: nobody else wants it done.
+async fn run_on<T, F>(pool: &ThreadPool, for_caller: bool, task: F) -> Result<T, Panicked>
 where
     T: Send + 'static,
     F: FnOnce() -> T + Send + 'static,
@@ -86,6 +92,9 @@ where
     let span = tracing::Span::current();
     pool.spawn(move || {
         let _in_span = span.entered();
+        if for_caller && send.is_closed() {
+            return tracing::debug!("the client has gone: its answer is not made");
+        }
         // The receiver may have gone away with its connection: nobody waits for the result then.
         let _ = send.send(catching(task));
     });
@@ -109,4 +118,39 @@ fn panic_text(payload: &(dyn Any + Send)) -> String {
         .map(|text| (*text).to_owned())
         .or_else(|| payload.downcast_ref::<String>().cloned())
         .unwrap_or_else(|| "a panic without a text".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+    use std::sync::mpsc;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn what_nobody_waits_for_any_more_is_not_begun() {
+        let compute = Compute::new(1).unwrap();
+        let (go, wait) = mpsc::channel::<()>();
+        let held = tokio::spawn({
+            let compute = compute.clone();
+            async move { compute.run(move || wait.recv().is_ok()).await.unwrap() }
+        });
+        let done = Arc::new(AtomicUsize::new(0));
+        let add = |by| {
+            let done = done.clone();
+            move || done.fetch_add(by, Ordering::SeqCst)
+        };
+        // Polled once, so that they stand in line, and dropped.
+        let (answer, change) = (compute.answer(add(1)), compute.run(add(10)));
+        let stand_in_line = async { tokio::join!(answer, change) };
+        tokio::select! {
+            biased;
+            _ = stand_in_line => unreachable!("the thread is taken"),
+            () = std::future::ready(()) => {}
+        }
+        go.send(()).unwrap();
+        assert!(held.await.unwrap());
+        compute.answer(add(100)).await.unwrap();
+        assert_eq!(done.load(Ordering::SeqCst), 110);
+    }
 }

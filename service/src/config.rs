@@ -25,6 +25,9 @@ pub struct Config {
     pub data_dir: Option<PathBuf>,
     /// Who may do what; none: everybody everything.
     pub tokens: Option<Tokens>,
+    /// Host names that the service answers to without tokens, beside those of this machine and the address that it
+    /// listens on; `*`: all. Others would let a page elsewhere reach it under a name of its own (DNS rebinding).
+    pub host_names: Vec<String>,
     /// Origins whose pages may call the API from a browser; none by default. `*`: all.
     pub cors_origins: Vec<String>,
     /// Refine light maps while no job waits; none: their jobs' budgets are all that is spent on them.
@@ -60,9 +63,11 @@ impl Default for IdleRefine {
 pub struct Limits {
     /// Bytes of an uploaded scene or asset.
     pub upload_bytes: usize,
+    /// Bytes that a refused request may still send: clients that send first and read then hear of the refusal.
+    pub drain_bytes: usize,
     /// Bytes of an edit request.
     pub edit_bytes: usize,
-    /// Uploads that are read and built at the same time; more wait.
+    /// Uploads that are built at the same time; more wait.
     pub concurrent_uploads: usize,
     /// Open connections; more wait in the listener's backlog.
     pub connections: usize,
@@ -74,7 +79,7 @@ pub struct Limits {
     pub subdivided_triangles: usize,
     /// Elements of a scene.
     pub elements: usize,
-    /// Bytes of memory of all scenes together; one that would not fit is refused before it is built.
+    /// Bytes of memory of all scenes, assets and uploads under way together; one that would not fit is refused before it is built.
     pub memory_bytes: u64,
     /// Scenes.
     pub scenes: usize,
@@ -115,6 +120,12 @@ pub struct Timeouts {
     pub header: Duration,
     /// For a request's whole body.
     pub body: Duration,
+    /// For the next piece of an upload's body.
+    pub body_idle: Duration,
+    /// For what a refused request still sends.
+    pub drain: Duration,
+    /// For the end of a restore, of a request that comes before it.
+    pub restore: Duration,
     /// For a place among the uploads.
     pub upload_slot: Duration,
     /// Between two comments on a silent event stream.
@@ -150,6 +161,7 @@ impl Default for Config {
             defaults: Defaults::default(),
             data_dir: None,
             tokens: None,
+            host_names: Vec::new(),
             cors_origins: Vec::new(),
             idle_refine: None,
             seed: 0,
@@ -163,6 +175,7 @@ impl Default for Limits {
     fn default() -> Limits {
         Limits {
             upload_bytes: 512 << 20,
+            drain_bytes: 64 << 20,
             edit_bytes: 1 << 20,
             concurrent_uploads: 2,
             connections: 1024,
@@ -195,6 +208,9 @@ impl Default for Timeouts {
         Timeouts {
             header: Duration::from_secs(15),
             body: Duration::from_secs(300),
+            body_idle: Duration::from_secs(30),
+            drain: Duration::from_secs(10),
+            restore: Duration::from_secs(10),
             upload_slot: Duration::from_secs(60),
             keep_alive: Duration::from_secs(15),
             shutdown: Duration::from_secs(10),

@@ -11,6 +11,7 @@ pub mod bench;
 pub mod client;
 mod compute;
 pub mod config;
+mod connections;
 pub mod engine;
 mod events;
 pub mod jobs;

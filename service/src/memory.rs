@@ -35,6 +35,25 @@ pub(crate) fn estimate_inserts(edits: &[Edit], spacing: f32) -> u64 {
     edits.iter().map(bytes).fold(0, u64::saturating_add)
 }
 
+/// Bytes of an asset as it is held: geometry that objects share counts once.
+pub(crate) fn of_asset(scene: &Scene) -> u64 {
+    let mut meshes = std::collections::HashSet::new();
+    let bytes = scene.objects.iter().map(|object| {
+        let mesh = &object.mesh;
+        let own = match meshes.insert(std::sync::Arc::as_ptr(mesh)) {
+            true => {
+                size_of_val(&*mesh.positions)
+                    + size_of_val(&*mesh.normals)
+                    + size_of_val(&*mesh.triangles)
+                    + size_of_val(&*mesh.triangle_materials)
+            }
+            false => 0,
+        };
+        (own + size_of_val(object) + size_of_val(&*object.materials)) as u64
+    });
+    bytes.sum()
+}
+
 /// Bytes that layers of the light map will take, from the estimate of the scene they belong to.
 pub(crate) fn estimate_layers(scene_bytes: u64, layers: usize) -> u64 {
     (scene_bytes as f64 / BYTES_PER_ELEMENT * LAYER_BYTES as f64 * layers as f64) as u64
@@ -71,6 +90,14 @@ pub(crate) struct Promise<'a> {
     bytes: u64,
 }
 
+impl Promise<'_> {
+    /// Promises `more` bytes on top.
+    fn add(&mut self, more: u64) {
+        self.promised.fetch_add(more, Ordering::Relaxed);
+        self.bytes += more;
+    }
+}
+
 impl Drop for Promise<'_> {
     fn drop(&mut self) {
         self.promised.fetch_sub(self.bytes, Ordering::Relaxed);
@@ -89,7 +116,7 @@ pub(crate) struct NoRoom {
 }
 
 impl App {
-    /// Bytes that all scenes take, with the edits that are accepted and not shown yet.
+    /// Bytes that all scenes and assets take, with the edits that are accepted and not shown yet.
     pub(crate) fn memory_in_use(&self) -> u64 {
         let of = |scene: &SceneEntry| {
             let published = scene.published();
@@ -98,7 +125,7 @@ impl App {
                 published.memory_bytes() + scene.drag.memory_bytes() + scene.earlier.memory_bytes(&published.map);
             world + light as u64 + scene.layers_to_come(&published)
         };
-        self.scenes.all().iter().map(|scene| of(scene)).sum()
+        self.scenes.all().iter().map(|scene| of(scene)).sum::<u64>() + self.assets.memory_bytes()
     }
 
     /// Promises `more` bytes for a scene that takes `present` already.
@@ -113,5 +140,13 @@ impl App {
         let free = limit.saturating_sub(self.memory_in_use() + before);
         // What takes nothing more always fits.
         if more > free { Err(NoRoom { bytes, free, limit: None }) } else { Ok(promise) }
+    }
+
+    /// Promises `more` bytes on top of what `promise` holds already.
+    pub(crate) fn promise_more(&self, promise: &mut Promise<'_>, more: u64) -> Result<(), NoRoom> {
+        // The new promise is dropped for the sum.
+        let _more = self.promise_memory(more, promise.bytes)?;
+        promise.add(more);
+        Ok(())
     }
 }

@@ -16,7 +16,7 @@ use crate::jobs::observer::JobBudget;
 use crate::jobs::queue::{JobKind, JobState, Outcome, Priority};
 use crate::jobs::{JobSpec, new_record};
 use crate::mode::Mode;
-use crate::state::App;
+use crate::state::{App, Phase};
 use crate::store::StoreError;
 use crate::store::disk::{Disk, Saved, SavedScene};
 use crate::store::lighting::{Lighting, Sequence, Unlit};
@@ -53,6 +53,14 @@ pub(crate) fn restore(app: &Arc<App>, disk: &Disk, saved: Saved) {
         let accepted = scene.head.blocking_lock().sequence;
         app.settle(scene, accepted);
     }
+    // Unless the service is about to end already.
+    app.phase.send_if_modified(|phase| {
+        let is_first = *phase == Phase::Restoring;
+        if is_first {
+            *phase = Phase::Serving;
+        }
+        is_first
+    });
     app.start_jobs();
     tracing::info!(scenes, jobs, assets = saved.assets.len(), life = saved.life, "restored");
 }
@@ -61,8 +69,9 @@ fn restore_asset(app: &App, disk: &Disk, id: &str) -> Result<(), StoreError> {
     let glb = disk.asset(id)?;
     let scene = engine::load(&glb, &app.config.limits, None)
         .map_err(|error| StoreError::damaged("it cannot be read any more", error))?;
-    let full = |_| StoreError::damaged("there is no room for it any more", id);
-    app.assets.insert(id.to_owned(), scene, glb.len()).map(drop).map_err(full)
+    // Scenes need what was acknowledged, whatever the limits are now.
+    app.assets.insert(id.to_owned(), scene, glb.len());
+    Ok(())
 }
 
 /// A scene, and whether its light is lost.
@@ -77,6 +86,7 @@ fn restore_scene(app: &App, disk: &Disk, saved: &SavedScene) -> (Arc<SceneEntry>
 }
 
 fn rebuild(app: &App, disk: &Disk, saved: &SavedScene) -> Result<(SceneEntry, bool), StoreError> {
+    note_assets(app, saved);
     let record = saved.record.clone()?;
     let uploaded = build(app, &disk.upload(saved)?, &record)?;
     // Whatever is wrong with the light can be baked again.
@@ -108,6 +118,17 @@ fn rebuild(app: &App, disk: &Disk, saved: &SavedScene) -> Result<(SceneEntry, bo
     let is_unbaked = error.is_some();
     let new = describe(app, saved, record, reserved, error);
     Ok((SceneEntry::with(new, head, lighting, published, &app.config.limits), is_unbaked))
+}
+
+/// Notes which assets the scene's history needs, whatever else is wrong with it.
+fn note_assets(app: &App, saved: &SavedScene) {
+    for (_, body) in &saved.edits {
+        if let Ok(parsed) = edit_parse::parse(body, usize::MAX)
+            && let Err(missing) = app.assets.need(saved.number, &edit_parse::inserted(&parsed))
+        {
+            tracing::error!(scene = app.ids.scene(saved.number), asset = missing, "an asset is missing");
+        }
+    }
 }
 
 fn build(app: &App, glb: &[u8], record: &SceneRecord) -> Result<World, StoreError> {

@@ -4,29 +4,43 @@ use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
+use hyper::service::{Service, service_fn};
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::conn::auto::Builder;
 use hyper_util::server::graceful::{GracefulShutdown, Watcher};
 use hyper_util::service::TowerToHyperService;
+use tokio::io::AsyncReadExt;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::sync::oneshot;
 use tokio_io_timeout::TimeoutStream;
 
 use crate::api;
 use crate::config::Config;
+use crate::connections::{Connections, Place, first_bytes};
+use crate::restore;
 use crate::state::{App, Phase};
+
+/// Requests of one HTTP/2 connection at the same time.
+const HTTP2_STREAMS: u32 = 64;
+/// Bytes that wait for one HTTP/2 stream's window.
+const HTTP2_SEND_BYTES: usize = 256 << 10;
 
 /// Serves on `listener` until `shutdown` is ready. Then: takes nothing new, cancels jobs (their last published version
 /// stays consistent), lets every stream send what is left, and returns within the time of `config`.
 ///
 /// # Errors
 /// Where the compute threads cannot be started or the data directory cannot be used.
-pub async fn run(listener: TcpListener, config: Config, shutdown: impl Future<Output = ()>) -> io::Result<()> {
-    // Scenes of an earlier life are built here.
+pub async fn run(listener: TcpListener, mut config: Config, shutdown: impl Future<Output = ()>) -> io::Result<()> {
+    config.host_names.push(listener.local_addr()?.ip().to_string());
     let app = tokio::task::spawn_blocking(move || App::new(config)).await.map_err(io::Error::other)?;
-    let app = app.map_err(io::Error::other)?;
+    let (app, saved) = app.map_err(io::Error::other)?;
+    if let Some((disk, saved)) = saved {
+        // Scenes of an earlier life are built while health is answered.
+        let its_app = app.clone();
+        app.compute.spawn(move || restore::restore(&its_app, &disk, saved));
+    }
     let router = api::router(app.clone());
-    let connections = Arc::new(Semaphore::new(app.config.limits.connections));
+    let connections = Connections::new(app.config.limits.connections);
     let graceful = GracefulShutdown::new();
     tracing::info!(address = ?listener.local_addr().ok(), "listening");
     let mut shutdown = std::pin::pin!(shutdown);
@@ -35,8 +49,14 @@ pub async fn run(listener: TcpListener, config: Config, shutdown: impl Future<Ou
             accepted = accept(&listener, &connections) => accepted,
             () = &mut shutdown => break,
         };
-        let Some((stream, permit)) = accepted else { continue };
-        tokio::spawn(connection(app.clone(), router.clone(), stream, permit, graceful.watcher()));
+        let Some((stream, place, gives_way)) = accepted else { continue };
+        let (app, router, watcher) = (app.clone(), router.clone(), graceful.watcher());
+        tokio::spawn(async move {
+            tokio::select! {
+                () = connection(app, router, stream, place, watcher) => {}
+                Ok(()) = gives_way => tracing::debug!("a silent connection gives way"),
+            }
+        });
     }
     drop(listener);
     close(&app, graceful).await;
@@ -60,11 +80,16 @@ pub async fn run_while<T>(listener: TcpListener, config: Config, work: impl Futu
 }
 
 /// The next connection, when there is room for it.
-async fn accept(listener: &TcpListener, room: &Arc<Semaphore>) -> Option<(TcpStream, OwnedSemaphorePermit)> {
-    // Acquiring before accepting leaves what is too much in the kernel's backlog.
-    let permit = room.clone().acquire_owned().await.ok()?;
+async fn accept(
+    listener: &TcpListener,
+    connections: &Arc<Connections>,
+) -> Option<(TcpStream, Arc<Place>, oneshot::Receiver<()>)> {
     match listener.accept().await {
-        Ok((stream, _)) => Some((stream, permit)),
+        Ok((stream, _)) => {
+            // One at a time waits for room; what comes behind it stays in the kernel's backlog.
+            let (place, gives_way) = connections.enter().await?;
+            Some((stream, place, gives_way))
+        }
         Err(error) => {
             // Out of file descriptors, most likely: trying again at once would only burn time.
             tracing::warn!(%error, "accept");
@@ -74,25 +99,30 @@ async fn accept(listener: &TcpListener, room: &Arc<Semaphore>) -> Option<(TcpStr
     }
 }
 
-async fn connection(
-    app: Arc<App>,
-    router: axum::Router,
-    stream: TcpStream,
-    _permit: OwnedSemaphorePermit,
-    watcher: Watcher,
-) {
+async fn connection(app: Arc<App>, router: axum::Router, mut stream: TcpStream, place: Arc<Place>, watcher: Watcher) {
     // Frames and events are small and wanted at once.
     if let Err(error) = stream.set_nodelay(true) {
         tracing::debug!(%error, "TCP_NODELAY");
     }
+    let first = match first_bytes(&mut stream, app.config.timeouts.header).await {
+        Ok(first) => first,
+        Err(error) => return tracing::debug!(%error, "first bytes"),
+    };
     let mut builder = Builder::new(TokioExecutor::new());
     builder.http1().timer(TokioTimer::new()).header_read_timeout(app.config.timeouts.header);
     builder.http2().timer(TokioTimer::new()).keep_alive_interval(app.config.timeouts.keep_alive);
+    builder.http2().max_concurrent_streams(HTTP2_STREAMS).max_send_buf_size(HTTP2_SEND_BYTES);
     // A client that takes nothing in for so long holds a connection and what is queued for it: it may come back.
     let mut stream = TimeoutStream::new(stream);
     stream.set_write_timeout(Some(app.config.timeouts.write));
-    let io = TokioIo::new(Box::pin(stream));
-    let served = builder.serve_connection(io, TowerToHyperService::new(router)).into_owned();
+    let (read, write) = tokio::io::split(Box::pin(stream));
+    let io = TokioIo::new(tokio::io::join(std::io::Cursor::new(first).chain(read), write));
+    let router = TowerToHyperService::new(router);
+    let service = service_fn(move |request| {
+        place.has_asked();
+        router.call(request)
+    });
+    let served = builder.serve_connection(io, service).into_owned();
     if let Err(error) = watcher.watch(served).await {
         tracing::debug!(error = %error, "connection");
     }

@@ -11,9 +11,8 @@ use crate::config::Config;
 use crate::jobs::Jobs;
 use crate::metrics::Metrics;
 use crate::pictures::Pictures;
-use crate::restore;
 use crate::store::assets::Assets;
-use crate::store::disk::Disk;
+use crate::store::disk::{Disk, Saved};
 use crate::store::scenes::Scenes;
 use crate::store::{InMemory, Store, StoreError};
 
@@ -31,6 +30,8 @@ pub(crate) enum StartError {
 /// How far the end of the service is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Phase {
+    /// Brings back what the data directory holds.
+    Restoring,
     /// Takes requests.
     Serving,
     /// Takes no new work; running jobs are being stopped.
@@ -62,10 +63,10 @@ pub(crate) struct App {
 }
 
 impl App {
-    /// The state, with all that the data directory holds. Takes as long as building the scenes takes.
-    pub(crate) fn new(config: Config) -> Result<Arc<App>, StartError> {
+    /// The state, and what the data directory holds, to be restored.
+    pub(crate) fn new(config: Config) -> Result<(Arc<App>, Option<(Arc<Disk>, Saved)>), StartError> {
         let Some(directory) = &config.data_dir else {
-            return App::with_store(config, Ids::new(), Arc::new(InMemory), 0);
+            return Ok((App::with_store(config, Ids::new(), Arc::new(InMemory), 0)?, None));
         };
         let disk = Disk::open(directory, config.faults.clone(), config.limits.idempotency_keys)?;
         let saved = disk.load(&Ids::new().suffix)?;
@@ -74,8 +75,8 @@ impl App {
         let first_event = (saved.life - 1) << 32;
         let disk = Arc::new(disk);
         let app = App::with_store(config, ids, disk.clone(), first_event)?;
-        app.compute.install(|| restore::restore(&app, &disk, saved));
-        Ok(app)
+        app.phase.send_replace(Phase::Restoring);
+        Ok((app, Some((disk, saved))))
     }
 
     fn with_store(config: Config, ids: Ids, store: Arc<dyn Store>, first_event: u64) -> Result<Arc<App>, StartError> {

@@ -312,7 +312,7 @@ async fn a_damaged_light_map_is_baked_afresh() {
 async fn one_process_at_a_time_has_the_directory() {
     let directory = tempfile::tempdir().unwrap();
     let server = start(directory.path()).await;
-    server.get("/readyz").await.json(200);
+    server.get("/v1/scenes").await.json(200);
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let config = rebake::Config { data_dir: Some(directory.path().to_owned()), ..rebake::Config::default() };
     let refused = rebake::run(listener, config, std::future::pending()).await.unwrap_err();

@@ -104,7 +104,8 @@ async fn faulty(directory: &Path, fails: impl Fn(usize) -> bool + Send + Sync + 
         config.faults = faults;
     });
     let server = server.await;
-    server.get("/readyz").await.json(200);
+    // Answered once all is restored.
+    server.get("/v1/scenes").await.json(200);
     *armed.lock().unwrap() = true;
     (server, steps)
 }

@@ -2,10 +2,12 @@
 
 mod access;
 mod ambient;
+mod assets;
 mod browser;
 mod crash;
 mod dashboard;
 mod deltas;
+mod doors;
 mod drag;
 mod durable;
 mod edits;

@@ -1,16 +1,50 @@
 //! Assets: what is uploaded to be inserted later.
 
+use std::sync::Arc;
+
 use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
+use bytes::Bytes;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
-use super::extract::{read_body, require_content_type};
+use super::extract::{ApiPath, ApiQuery, read_upload, require_content_type};
+use super::paging::Page;
 use super::problem::{ApiResult, Kind, Problem};
+use super::scenes::ListQuery;
 use super::types::Asset;
 use super::{Shared, require_serving, uploads};
-use crate::engine;
-use crate::store::assets::{Assets, NoRoom};
+use crate::engine::{self, Scene};
+use crate::memory;
+use crate::state::App;
+use crate::store::assets::{Assets, Listed, NoRoom, Stays};
+
+/// An asset in a list.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub(super) struct AssetSummary {
+    /// Content hash: what `insert` names.
+    #[schema(example = "d74981efa70a0c880b8d8c1985d075dbcbf679b99a5f9914e5aaf96b831a9e24")]
+    asset: String,
+    /// Triangles in the file.
+    triangles: u64,
+    /// Bytes of the file.
+    bytes: u64,
+    /// Bytes that it takes of the service's memory.
+    memory_bytes: u64,
+    /// Scenes that inserted it: while there is one, it cannot be deleted.
+    scenes: Vec<String>,
+}
+
+/// One page of assets.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub(super) struct AssetPage {
+    /// Newest first; those from before a restart come behind those after it.
+    items: Vec<AssetSummary>,
+    /// Asks for the next page; absent on the last.
+    next_cursor: Option<String>,
+}
 
 /// Uploads an asset to insert later. The same bytes give the same id: 201 the first time, 200 afterwards.
 #[utoipa::path(
@@ -21,19 +55,81 @@ use crate::store::assets::{Assets, NoRoom};
 pub(super) async fn create(State(app): Shared, headers: HeaderMap, body: Body) -> ApiResult<(StatusCode, Json<Asset>)> {
     require_serving(&app)?;
     require_content_type(&headers, uploads::GLB_TYPES)?;
+    let (glb, _room) = read_upload(&app, &headers, body).await?;
     let permit = uploads::upload_permit(&app).await?;
-    let glb = read_body(&app, &headers, body, app.config.limits.upload_bytes).await?;
     let its_app = app.clone();
     let add = move || {
         let _permit = permit;
-        let scene = engine::load(&glb, &its_app.config.limits, None).map_err(uploads::load_problem)?;
-        let id = Assets::id_of(&glb);
-        let triangles = scene.objects.iter().map(|object| object.mesh.triangles.len() as u64).sum();
-        let asset = Asset { asset: id.clone(), triangles, warnings: scene.warnings.clone() };
-        its_app.store.asset_added(&id, &glb)?;
-        let full = |NoRoom| Problem::new(Kind::TooManyAssets, "there is no room for another asset");
-        let is_new = its_app.assets.insert(id, scene, glb.len()).map_err(full)?;
-        Ok((if is_new { StatusCode::CREATED } else { StatusCode::OK }, Json(asset)))
+        add(&its_app, &glb)
     };
     app.compute.build(add).await?
+}
+
+/// Keeps an asset. One that is refused leaves nothing behind.
+fn add(app: &App, glb: &Bytes) -> ApiResult<(StatusCode, Json<Asset>)> {
+    let scene = engine::load(glb, &app.config.limits).map_err(uploads::load_problem)?;
+    uploads::check_strengths(&scene)?;
+    let id = Assets::id_of(glb);
+    let asset = Asset { asset: id.clone(), triangles: triangles(&scene), warnings: scene.warnings.clone() };
+    let _change = app.assets.change();
+    if app.assets.get(&id).is_some() {
+        return Ok((StatusCode::OK, Json(asset)));
+    }
+    let full = |NoRoom| Problem::new(Kind::TooManyAssets, "there is no room for another asset");
+    app.assets.check_room(glb.len()).map_err(full)?;
+    let promise = app.promise_memory(memory::of_asset(&scene), 0);
+    let _promise = promise.map_err(|full| uploads::memory_problem("asset", full))?;
+    app.store.asset_added(&id, glb)?;
+    app.assets.insert(id, scene, glb.len());
+    Ok((StatusCode::CREATED, Json(asset)))
+}
+
+/// All assets, newest first.
+#[utoipa::path(
+    get, path = "/v1/assets", tag = "assets", operation_id = "list_assets", params(ListQuery),
+    responses((status = 200, body = AssetPage))
+)]
+pub(super) async fn list(State(app): Shared, ApiQuery(query): ApiQuery<ListQuery>) -> ApiResult<Json<AssetPage>> {
+    let page = Page::new(&app.config, query.limit, query.cursor.as_deref())?;
+    let assets = app.assets.older_than(page.before, page.limit + 1);
+    let (assets, next_cursor) = page.cut(assets, |asset| asset.number);
+    let items = assets.into_iter().map(|asset| summary(&app, asset)).collect();
+    Ok(Json(AssetPage { items, next_cursor }))
+}
+
+/// Deletes an asset that no scene needs.
+#[utoipa::path(
+    delete, path = "/v1/assets/{asset}", tag = "assets", operation_id = "delete_asset",
+    params(("asset" = String, Path, description = "The asset's content hash")),
+    responses((status = 204, description = "Deleted"))
+)]
+pub(super) async fn delete(State(app): Shared, ApiPath(id): ApiPath<String>) -> ApiResult<StatusCode> {
+    require_serving(&app)?;
+    let its_app: Arc<App> = app.clone();
+    let delete = move || {
+        let deleted = its_app.assets.delete(&id, || its_app.store.asset_deleted(&id))?;
+        deleted.map_err(|stays| match stays {
+            Stays::Unknown => Problem::new(Kind::AssetNotFound, format!("there is no asset {id:?}")),
+            Stays::Needed(scenes) => {
+                let scenes: Vec<String> = scenes.iter().take(5).map(|number| its_app.ids.scene(*number)).collect();
+                Problem::new(Kind::AssetNeeded, format!("the asset was inserted into {}", scenes.join(", ")))
+            }
+        })
+    };
+    app.compute.run(delete).await??;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+fn summary(app: &App, asset: Listed) -> AssetSummary {
+    AssetSummary {
+        triangles: triangles(&asset.scene),
+        bytes: asset.bytes as u64,
+        memory_bytes: asset.memory_bytes,
+        scenes: asset.needed_by.iter().map(|number| app.ids.scene(*number)).collect(),
+        asset: asset.id,
+    }
+}
+
+fn triangles(scene: &Scene) -> u64 {
+    scene.objects.iter().map(|object| object.mesh.triangles.len() as u64).sum()
 }

@@ -200,7 +200,7 @@ impl Sender {
             let pieces = pieces.collect::<io::Result<VecDeque<Bytes>>>()?;
             io::Result::Ok((pieces, coder, bytes))
         };
-        let (pieces, coder, bytes) = self.app.compute.run(encode).await.map_err(io::Error::other)??;
+        let (pieces, coder, bytes) = self.app.compute.answer(encode).await.map_err(io::Error::other)??;
         self.app.metrics.delta_bytes.inc_by(bytes as u64);
         self.waiting = pieces;
         self.coder = Some(coder);

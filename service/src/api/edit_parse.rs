@@ -4,7 +4,8 @@ use glam::DVec3;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
-use super::edit_lights::{check_group, check_strength, light_kind, unit};
+pub(super) use super::edit_lights::check_strength;
+use super::edit_lights::{check_group, light_kind, unit};
 use super::edit_types::{self as dto, Budget, CameraRef, EditOp, Focus, NewLight, TileMode, Tiles};
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::{JobPriority, dmat4, dvec3, vec3};
@@ -158,6 +159,15 @@ fn read<T: DeserializeOwned>(value: Value, path: &str) -> ApiResult<T> {
 
 pub(super) fn join(path: &str, field: &str) -> String {
     if path.is_empty() { field.to_owned() } else { format!("{path}.{field}") }
+}
+
+/// Ids of the assets that a request inserts.
+pub(crate) fn inserted<'a>(parsed: &'a Parsed) -> Vec<&'a str> {
+    let asset = |op: &'a EditOp| match op {
+        EditOp::Insert(insert) => Some(insert.asset.as_str()),
+        _ => None,
+    };
+    parsed.edits.iter().filter_map(asset).collect()
 }
 
 /// The engine's edits. Names of objects and lights are left to the engine, which knows the scene.

@@ -9,7 +9,7 @@ use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use serde_json::Value;
 
-use super::edit_parse::{Parsed, parse, to_budget, to_edits, to_focus, to_tiles};
+use super::edit_parse::{Parsed, inserted, parse, to_budget, to_edits, to_focus, to_tiles};
 use super::edit_types::{self, EditRequest};
 use super::extract::{ApiPath, ETags, read_body, require_content_type, text_header};
 use super::layers::check_edits;
@@ -24,7 +24,7 @@ use crate::jobs::queue::JobKind;
 use crate::jobs::{JobSpec, new_record};
 use crate::memory;
 use crate::state::App;
-use crate::store::assets::{Assets, NoRoom};
+use crate::store::assets::Assets;
 use crate::store::lighting::Unlit;
 use crate::store::records::{Accepted, EditRecord, KeyRecord};
 use crate::store::scenes::{Head, SceneEntry};
@@ -160,6 +160,8 @@ fn accept(
     let answer = to_event_data(&job);
     let key = key.map(|(key, body_hash)| KeyRecord { key, body_hash, job: ticket.number, answer: answer.clone() });
     let edit = transition.is_some().then_some(EditRecord { sequence: spec.sequence, body });
+    let gone = |asset| Problem::new(Kind::UnknownAsset, format!("the asset {asset:?} was deleted"));
+    app.assets.need(scene.number, &inserted(&parsed)).map_err(gone)?;
     app.store.accepted(&Accepted { scene: scene.number, edit, job: &record, key: key.as_ref(), jobs })?;
     let unlit = transition.map(|transition| {
         head.world = transition.after.clone();
@@ -202,7 +204,7 @@ pub fn read_edits(
     let told = |problem: Problem| problem.to_string();
     let held = Assets::new(usize::MAX, usize::MAX);
     for (id, scene) in assets {
-        held.insert(id, scene, 0).map_err(|NoRoom| "too many assets".to_owned())?;
+        held.insert(id, scene, 0);
     }
     let config = Config::default();
     let parsed = parse(body, config.limits.edits_per_request).map_err(told)?;

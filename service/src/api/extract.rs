@@ -1,14 +1,18 @@
 //! Unpacking of requests. Every rejection is a problem document.
 
+use std::time::Duration;
+
 use axum::body::{Body, to_bytes};
 use axum::extract::rejection::{PathRejection, QueryRejection};
 use axum::extract::{FromRequestParts, Path, Query};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderName, header};
-use bytes::Bytes;
+use bytes::{Bytes, BytesMut};
+use http_body_util::BodyExt;
 use serde::de::DeserializeOwned;
 
 use super::problem::{ApiResult, Kind, Problem};
+use crate::memory::Promise;
 use crate::state::App;
 
 /// Path segments.
@@ -43,18 +47,59 @@ impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for ApiQuery<T> {
     }
 }
 
-/// Reads a body within its limits of size and time.
-pub(crate) async fn read_body(app: &App, headers: &HeaderMap, body: Body, limit: usize) -> ApiResult<Bytes> {
+/// Reads the file of an upload within its limits of size and time. What has arrived counts as memory for as long as the
+/// promise is held, and a client that sends nothing for a while is let go: others wait for neither.
+pub(crate) async fn read_upload<'a>(
+    app: &'a App,
+    headers: &HeaderMap,
+    mut body: Body,
+) -> ApiResult<(Bytes, Promise<'a>)> {
+    let (limit, timeouts) = (app.config.limits.upload_bytes, &app.config.timeouts);
     let too_large = || Problem::new(Kind::PayloadTooLarge, format!("the body may have {limit} bytes"));
-    let announced = headers.get(header::CONTENT_LENGTH).and_then(|v| v.to_str().ok()?.parse::<u64>().ok());
+    let announced = announced(headers);
     if announced.is_some_and(|length| length > limit as u64) {
         return Err(too_large());
     }
-    match tokio::time::timeout(app.config.timeouts.body, to_bytes(body, limit)).await {
-        Err(_elapsed) => {
-            let secs = app.config.timeouts.body.as_secs_f32();
-            Err(Problem::new(Kind::Timeout, format!("the body did not arrive within {secs} s")))
+    let full = |full| super::uploads::memory_problem("upload", full);
+    let mut room = app.promise_memory(0, 0).map_err(full)?;
+    // The system gives the memory as it is written to.
+    let mut glb = BytesMut::with_capacity(announced.unwrap_or(0) as usize);
+    let read = async {
+        loop {
+            let next = tokio::time::timeout(timeouts.body_idle, body.frame()).await;
+            let Some(frame) = next.map_err(|_| late(timeouts.body_idle, "nothing of the body arrived for"))? else {
+                return Ok(());
+            };
+            let frame = frame.map_err(|_| Problem::new(Kind::BadRequest, "the body broke off"))?;
+            let Ok(data) = frame.into_data() else { continue };
+            if data.len() > limit - glb.len() {
+                return Err(too_large());
+            }
+            app.promise_more(&mut room, data.len() as u64).map_err(full)?;
+            glb.extend_from_slice(&data);
         }
+    };
+    let read = tokio::time::timeout(timeouts.body, read).await;
+    read.map_err(|_| late(timeouts.body, "the body did not arrive within"))??;
+    Ok((glb.freeze(), room))
+}
+
+fn late(limit: Duration, what: &str) -> Problem {
+    Problem::new(Kind::Timeout, format!("{what} {} s", limit.as_secs_f32()))
+}
+
+fn announced(headers: &HeaderMap) -> Option<u64> {
+    headers.get(header::CONTENT_LENGTH).and_then(|v| v.to_str().ok()?.parse::<u64>().ok())
+}
+
+/// Reads a body within its limits of size and time.
+pub(crate) async fn read_body(app: &App, headers: &HeaderMap, body: Body, limit: usize) -> ApiResult<Bytes> {
+    let too_large = || Problem::new(Kind::PayloadTooLarge, format!("the body may have {limit} bytes"));
+    if announced(headers).is_some_and(|length| length > limit as u64) {
+        return Err(too_large());
+    }
+    match tokio::time::timeout(app.config.timeouts.body, to_bytes(body, limit)).await {
+        Err(_elapsed) => Err(late(app.config.timeouts.body, "the body did not arrive within")),
         Ok(Ok(bytes)) => Ok(bytes),
         Ok(Err(error)) => {
             let is_limit =

@@ -9,6 +9,7 @@ use super::extract::ApiPath;
 use super::problem::{self, ApiResult, Kind, Problem};
 use super::types::Health;
 use super::{Shared, require_serving};
+use crate::state::Phase;
 
 /// The process is alive.
 #[utoipa::path(get, path = "/healthz", tag = "service", operation_id = "alive", responses((status = 200, body = Health)))]
@@ -19,6 +20,10 @@ pub(super) async fn alive() -> Json<Health> {
 /// The service takes requests.
 #[utoipa::path(get, path = "/readyz", tag = "service", operation_id = "ready", responses((status = 200, body = Health)))]
 pub(super) async fn ready(State(app): Shared) -> ApiResult<Json<Health>> {
+    if *app.phase.borrow() == Phase::Restoring {
+        let text = format!("{} scenes are back, others are to come", app.scenes.all().len());
+        return Err(Problem::new(Kind::Restoring, text).retry_after(1));
+    }
     require_serving(&app)?;
     Ok(Json(Health { status: "ok".to_owned() }))
 }

@@ -106,7 +106,7 @@ pub(super) async fn get(
         let file = file(&published, format, &wanted)?;
         encode_body(coding, file).map_err(|error| error.to_string())
     };
-    let body = app.compute.run(encode).await?.map_err(Problem::internal)?;
+    let body = app.compute.answer(encode).await?.map_err(Problem::internal)?;
     Ok((about, [(header::CONTENT_TYPE, format.content_type())], coding.headers(), body).into_response())
 }
 

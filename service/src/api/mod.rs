@@ -3,6 +3,7 @@
 mod assets;
 mod coding;
 mod deltas;
+mod drain;
 mod edit_lights;
 pub(crate) mod edit_parse;
 pub mod edit_types;
@@ -34,7 +35,7 @@ use axum::extract::State;
 use axum::http::{HeaderName, Method};
 use axum::middleware::from_fn_with_state;
 use axum::response::IntoResponse;
-use axum::routing::{get, post};
+use axum::routing::{delete, get, post};
 
 pub(crate) use coding::encode_body;
 pub(crate) use extract::{Coding, ETags};
@@ -62,7 +63,8 @@ pub(crate) fn router(app: Arc<App>) -> Router {
         .route("/v1/scenes/{scene}/lightmap/deltas", get(deltas::get))
         .route("/v1/scenes/{scene}/elements", get(elements::get))
         .route("/v1/scenes/{scene}/render", get(render::get))
-        .route("/v1/assets", post(assets::create))
+        .route("/v1/assets", post(assets::create).get(assets::list))
+        .route("/v1/assets/{asset}", delete(assets::delete))
         .route("/v1/jobs", get(jobs::list))
         .route("/v1/jobs/{job}", get(jobs::get).delete(jobs::cancel))
         .route("/v1/jobs/{job}/pause", post(jobs::pause))
@@ -79,6 +81,7 @@ pub(crate) fn router(app: Arc<App>) -> Router {
             Problem::new(Kind::MethodNotAllowed, "this path does not take this method").into_response()
         })
         .layer(from_fn_with_state(app.clone(), guard::requests))
+        .layer(from_fn_with_state(app.clone(), drain::bodies))
         .layer(cors(&app.config.cors_origins))
         .layer(from_fn_with_state(app.clone(), trace::requests))
         .with_state(app)

@@ -20,7 +20,7 @@ use super::{
         license(name = "MIT OR Apache-2.0")
     ),
     paths(
-        uploads::create, scenes::list, scenes::get, scenes::delete, assets::create, edits::create,
+        uploads::create, scenes::list, scenes::get, scenes::delete, assets::create, assets::list, assets::delete, edits::create,
         jobs::list, jobs::get, jobs::cancel, jobs::pause, jobs::resume, events::of_job, events::of_scene,
         lightmap::get, deltas::get, elements::get, render::get, health::alive, health::ready, health::metrics, health::problem, get
     ),
@@ -60,11 +60,11 @@ pub(super) async fn get() -> axum::Json<utoipa::openapi::OpenApi> {
 /// The problems of each operation; those of every one come on top.
 fn problems_of(operation: &str) -> &'static [Kind] {
     use Kind::{
-        EditTooLarge, InvalidJson, InvalidQuery, InvalidValue, JobEnded, KeyReused, MalformedFile, NameTaken, NoMemory,
-        NotFound, PayloadTooLarge, PreconditionFailed, QueueFull, SceneDamaged, SceneTooLarge, ShuttingDown, Storage,
-        Timeout, TooManyAssets, TooManyScenes, TooManyStreams, TooManyUploads, UnknownAsset, UnknownCamera, UnknownJob,
-        UnknownLight, UnknownObject, UnknownScene, UnsupportedFile, UnsupportedMediaType, VersionAhead,
-        VersionForgotten,
+        AssetNeeded, AssetNotFound, EditTooLarge, InvalidJson, InvalidQuery, InvalidValue, JobEnded, KeyReused,
+        MalformedFile, NameTaken, NoMemory, NotFound, PayloadTooLarge, PreconditionFailed, QueueFull, Restoring,
+        SceneDamaged, SceneTooLarge, ShuttingDown, Storage, Timeout, TooManyAssets, TooManyScenes, TooManyStreams,
+        TooManyUploads, UnknownAsset, UnknownCamera, UnknownJob, UnknownLight, UnknownObject, UnknownScene,
+        UnsupportedFile, UnsupportedMediaType, VersionAhead, VersionForgotten,
     };
     match operation {
         "create_scene" => &[
@@ -88,6 +88,7 @@ fn problems_of(operation: &str) -> &'static [Kind] {
             MalformedFile,
             Timeout,
             TooManyAssets,
+            NoMemory,
             PayloadTooLarge,
             SceneTooLarge,
             UnsupportedMediaType,
@@ -118,9 +119,10 @@ fn problems_of(operation: &str) -> &'static [Kind] {
             ShuttingDown,
             Storage,
         ],
-        "list_scenes" | "list_jobs" => &[InvalidQuery],
+        "list_scenes" | "list_jobs" | "list_assets" => &[InvalidQuery],
         "get_scene" => &[UnknownScene],
         "delete_scene" => &[UnknownScene, Storage],
+        "delete_asset" => &[AssetNotFound, AssetNeeded, ShuttingDown, Storage],
         "get_job" => &[UnknownJob],
         "cancel_job" | "pause_job" | "resume_job" => &[UnknownJob, JobEnded, Storage],
         "job_events" => &[UnknownJob, TooManyStreams],
@@ -130,7 +132,7 @@ fn problems_of(operation: &str) -> &'static [Kind] {
         "get_elements" => &[UnknownScene, SceneDamaged],
         "render_scene" => &[InvalidQuery, UnknownScene, SceneDamaged, VersionForgotten],
         "describe_problem" => &[NotFound],
-        "ready" => &[ShuttingDown],
+        "ready" => &[Restoring, ShuttingDown],
         _ => &[],
     }
 }
@@ -139,8 +141,10 @@ fn add_problems(operation: &mut Operation) {
     let id = operation.operation_id.as_deref().unwrap_or_default();
     let is_open = matches!(id, "alive" | "ready" | "openapi" | "describe_problem");
     let always: &[Kind] = match is_open {
-        true => &[Kind::BadRequest, Kind::Internal],
-        false => &[Kind::BadRequest, Kind::Internal, Kind::Unauthorized, Kind::Forbidden],
+        true => &[Kind::BadRequest, Kind::ForeignHost, Kind::Internal],
+        false => {
+            &[Kind::BadRequest, Kind::ForeignHost, Kind::Internal, Kind::Unauthorized, Kind::Forbidden, Kind::Restoring]
+        }
     };
     let own = problems_of(id);
     if !is_open {

@@ -134,6 +134,7 @@ kinds! {
     Forbidden "forbidden" FORBIDDEN "Forbidden" "The token's scopes do not allow this call.";
     NotFound "not-found" NOT_FOUND "Not found" "There is nothing at this path.";
     UnknownScene "unknown-scene" NOT_FOUND "Unknown scene" "There is no such scene, or it was deleted.";
+    AssetNotFound "asset-not-found" NOT_FOUND "Asset not found" "There is no such asset, or it was deleted.";
     UnknownJob "unknown-job" NOT_FOUND "Unknown job" "There is no such job, or it ended long ago and was forgotten.";
     MethodNotAllowed "method-not-allowed" METHOD_NOT_ALLOWED "Method not allowed" "The path exists, but not with this method; see the Allow header.";
     Timeout "request-timeout" REQUEST_TIMEOUT "Request timeout" "The body did not arrive in time.";
@@ -142,11 +143,13 @@ kinds! {
     TooManyScenes "too-many-scenes" CONFLICT "Too many scenes" "The service holds as many scenes as it may; delete one.";
     NoMemory "no-memory" CONFLICT "Not enough memory" "The scene does not fit beside the others; delete one, or choose a larger spacing.";
     TooManyAssets "too-many-assets" CONFLICT "Too many assets" "The service holds as many assets, or bytes of assets, as it may.";
+    AssetNeeded "asset-needed" CONFLICT "Asset needed" "A scene, or its history, needs the asset; delete the scene first.";
     VersionAhead "version-ahead" CONFLICT "Version ahead" "The client's version is newer than the scene's: it belongs to something else. Start over from version 0.";
     VersionForgotten "version-forgotten" GONE "Version forgotten" "The version that a change is to be shown against is not kept.";
     PreconditionFailed "precondition-failed" PRECONDITION_FAILED "Precondition failed" "The scene has moved on to another version than If-Match names.";
     PayloadTooLarge "payload-too-large" PAYLOAD_TOO_LARGE "Payload too large" "The body is larger than the service takes.";
     SceneTooLarge "scene-too-large" PAYLOAD_TOO_LARGE "Scene too large" "The scene has more triangles, elements or other parts than the service takes.";
+    ForeignHost "foreign-host" MISDIRECTED_REQUEST "Foreign host" "The service answers only to its own host names; `--host-name` gives it more, and with tokens it answers to all.";
     UnsupportedMediaType "unsupported-media-type" UNSUPPORTED_MEDIA_TYPE "Unsupported media type" "The body's Content-Type is not one that this call takes.";
     UnsupportedFile "unsupported-file" UNPROCESSABLE_ENTITY "Unsupported file" "The file is a glTF but holds something that cannot be baked.";
     InvalidValue "invalid-value" UNPROCESSABLE_ENTITY "Invalid value" "A field has a value that is not allowed, or is missing or unknown.";
@@ -161,6 +164,7 @@ kinds! {
     TooManyStreams "too-many-streams" TOO_MANY_REQUESTS "Too many streams" "Too many event and delta streams are open.";
     SceneDamaged "scene-damaged" INTERNAL_SERVER_ERROR "Scene damaged" "What was kept of the scene cannot be read any more. It can be looked at and deleted.";
     Internal "internal" INTERNAL_SERVER_ERROR "Internal error" "The service failed. Nothing that was acknowledged is lost.";
+    Restoring "restoring" SERVICE_UNAVAILABLE "Restoring" "The service is bringing back what its data directory holds.";
     ShuttingDown "shutting-down" SERVICE_UNAVAILABLE "Shutting down" "The service is about to end and takes no new work.";
     Storage "storage" SERVICE_UNAVAILABLE "Storage failed" "The change could not be kept; nothing has changed.";
 }

@@ -28,9 +28,9 @@ use crate::store::versions::Published;
 pub(super) struct ListQuery {
     /// Entries per page.
     #[param(example = 50, minimum = 1)]
-    limit: Option<usize>,
+    pub(super) limit: Option<usize>,
     /// `next_cursor` of the page before.
-    cursor: Option<String>,
+    pub(super) cursor: Option<String>,
 }
 
 /// All scenes, newest first.
@@ -58,8 +58,8 @@ pub(super) async fn list(
 )]
 pub(super) async fn get(State(app): Shared, ApiPath(id): ApiPath<String>) -> ApiResult<Response> {
     let scene = find_any_scene(&app, &id)?;
-    let body = scene_json(&app, &scene).await?;
-    Ok(([(header::ETAG, etag(body.version))], Json(body)).into_response())
+    let (version, json) = scene_json(&app, &scene, None).await?;
+    Ok(([(header::ETAG, etag(version))], json).into_response())
 }
 
 /// Deletes a scene, cancels its jobs and ends its streams.
@@ -77,6 +77,7 @@ pub(super) async fn delete(State(app): Shared, ApiPath(id): ApiPath<String>) -> 
     if app.scenes.remove(scene.number).is_none() {
         return Err(Problem::new(Kind::UnknownScene, format!("there is no scene {id:?}")));
     }
+    app.assets.release(scene.number);
     app.cancel_scene(&scene);
     app.pictures.forget(scene.number);
     let published = scene.published();
@@ -112,14 +113,21 @@ pub(super) fn summary(app: &App, scene: &SceneEntry) -> types::SceneSummary {
     }
 }
 
-/// A scene with all that is in it, of one version.
-pub(super) async fn scene_json(app: &Arc<App>, scene: &Arc<SceneEntry>) -> ApiResult<types::Scene> {
-    let published = scene.published();
-    if !published.knows_objects() {
-        let published = published.clone();
-        app.compute.run(move || published.objects().len()).await?;
-    }
-    Ok(of_published(app, scene, &published))
+/// A scene with all that is in it, of one version, as JSON. Thousands of objects take their time: they are told and
+/// written on the pool. `bake`: the job that was queued with the scene, told also where it is done by now.
+pub(super) async fn scene_json(
+    app: &Arc<App>,
+    scene: &Arc<SceneEntry>,
+    bake: Option<String>,
+) -> ApiResult<(u64, Response)> {
+    let (its_app, its_scene) = (app.clone(), scene.clone());
+    let write = move || {
+        let mut told = of_published(&its_app, &its_scene, &its_scene.published());
+        told.current_job = bake.or(told.current_job);
+        serde_json::to_vec(&told).map(|json| (told.version, json))
+    };
+    let (version, json) = app.compute.answer(write).await?.map_err(Problem::internal)?;
+    Ok((version, ([(header::CONTENT_TYPE, "application/json")], json).into_response()))
 }
 
 fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::Scene {

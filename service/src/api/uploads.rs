@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
@@ -14,15 +13,15 @@ use serde::Deserialize;
 use tokio::sync::OwnedSemaphorePermit;
 use utoipa::IntoParams;
 
-use super::edit_parse::{check_name, to_budget};
+use super::edit_parse::{check_name, check_strength, to_budget};
 use super::edit_types::Budget;
-use super::extract::{ApiQuery, read_body, require_content_type};
+use super::extract::{ApiQuery, read_upload, require_content_type};
 use super::layers::{self, Wanted};
 use super::problem::{ApiResult, Kind, Problem};
 use super::scenes::scene_json;
 use super::types::{self, JobPriority};
 use super::{Shared, require_serving};
-use crate::engine::{self, LoadError, SurfaceError, World, WorldError};
+use crate::engine::{self, LoadError, Scene, SurfaceError, World, WorldError};
 use crate::jobs::queue::{Full, JobKind};
 use crate::jobs::{JobSpec, new_record};
 use crate::memory::{self, NoRoom};
@@ -96,8 +95,8 @@ pub(super) async fn create(
     let options = Options::from_query(query, &app).map_err(in_query)?;
     let full = || Problem::new(Kind::TooManyScenes, format!("there are {} scenes", app.config.limits.scenes));
     let reservation = app.scenes.reserve(app.config.limits.scenes).ok_or_else(full)?;
+    let (glb, _room) = read_upload(&app, &headers, body).await?;
     let permit = upload_permit(&app).await?;
-    let glb = read_body(&app, &headers, body, app.config.limits.upload_bytes).await?;
     let its_app = app.clone();
     let build = move || {
         let _permit = permit;
@@ -105,10 +104,8 @@ pub(super) async fn create(
     };
     let (scene, bake) = app.compute.build(build).await??;
     let location = format!("/v1/scenes/{}", scene.id);
-    let mut body = scene_json(&app, &scene).await?;
-    // Also where it is done by now.
-    body.current_job = bake;
-    Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(body)).into_response())
+    let (_, json) = scene_json(&app, &scene, bake).await?;
+    Ok((StatusCode::CREATED, [(header::LOCATION, location)], json).into_response())
 }
 
 /// Builds a scene, keeps it with its bake, and lets everybody see both; answers the scene and the bake's id.
@@ -224,7 +221,10 @@ fn parse_environment(text: &str) -> ApiResult<Vec3> {
     let numbers: Option<Vec<f32>> =
         text.split(',').map(|number| number.trim().parse().ok().filter(|x: &f32| x.is_finite() && *x >= 0.0)).collect();
     match numbers.as_deref() {
-        Some([r, g, b]) => Ok(Vec3::new(*r, *g, *b)),
+        Some([r, g, b]) => {
+            check_strength(Some(&[*r, *g, *b]), None, "environment").map_err(in_query)?;
+            Ok(Vec3::new(*r, *g, *b))
+        }
         _ => Err(Problem::field(Kind::InvalidQuery, "environment", "has to be r,g,b, each finite and at least 0")),
     }
 }
@@ -239,6 +239,7 @@ fn build_world(app: &App, glb: &Bytes, options: &Options) -> ApiResult<World> {
         return Err(Problem::field(Kind::NameTaken, "environment", reason));
     }
     scene.warn_where_dark();
+    check_strengths(&scene)?;
     scene.groups = options.layers.groups(&scene)?;
     let bytes = memory::estimate(&scene, spacing);
     let of_layers = memory::estimate_layers(bytes, layers::count(&scene, &scene.groups));
@@ -250,6 +251,16 @@ fn build_world(app: &App, glb: &Bytes, options: &Options) -> ApiResult<World> {
         }
         error => Problem::new(Kind::UnsupportedFile, error.to_string()),
     })
+}
+
+/// Lights and emissive surfaces of a file are bounded as those of edits are.
+pub(super) fn check_strengths(scene: &Scene) -> ApiResult<()> {
+    for light in &scene.lights {
+        let strength = (light.color * light.intensity).to_array();
+        let checked = check_strength(Some(&strength), None, &format!("light {:?}", light.name));
+        checked.map_err(|problem| problem.with_kind(Kind::UnsupportedFile))?;
+    }
+    Ok(())
 }
 
 /// What does not fit is told with what it would take.
@@ -277,7 +288,7 @@ pub(super) fn full_problem(full: Full) -> Problem {
     }
 }
 
-/// A place among the uploads. Nothing of the body is read before it is there.
+/// A place among those that are built.
 pub(super) async fn upload_permit(app: &App) -> ApiResult<OwnedSemaphorePermit> {
     let wait = tokio::time::timeout(app.config.timeouts.upload_slot, app.uploads.clone().acquire_owned()).await;
     let busy = || Problem::new(Kind::TooManyUploads, "too many uploads are under way").retry_after(5);

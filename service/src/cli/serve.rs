@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use rebake::auth::Tokens;
-use rebake::config::IdleRefine;
+use rebake::config::{IdleRefine, Limits};
 use tokio::net::TcpListener;
 use tracing_subscriber::EnvFilter;
 
@@ -41,14 +41,53 @@ pub(super) struct ServeArgs {
     /// Let pages of this origin call the API from a browser; may be given several times; `*` for all [default: none]
     #[arg(long, value_name = "ORIGIN", env = "REBAKE_CORS_ORIGIN", value_delimiter = ',')]
     cors_origin: Vec<String>,
-    /// Memory that scenes may take together, in GiB [default: three quarters of the machine's]
+    /// Host name that the service answers to without tokens, beside localhost and its address; may be given several
+    /// times; `*` for all
+    #[arg(long, value_name = "NAME", env = "REBAKE_HOST_NAME", value_delimiter = ',')]
+    host_name: Vec<String>,
+    /// Memory that scenes, assets and uploads under way may take together, in GiB [default: three quarters of the machine's]
     #[arg(long, value_name = "GIB", env = "REBAKE_MEMORY", value_parser = super::values::positive)]
     memory: Option<f64>,
+    #[command(flatten)]
+    limits: LimitArgs,
     /// Refine light maps while no job waits, until their stated error is SHARE of their mean light. Every refined map is
     /// a new version: edits with `If-Match` may have to be repeated
     #[arg(long, value_name = "SHARE", env = "REBAKE_IDLE_REFINE", num_args = 0..=1, require_equals = true,
         default_missing_value = "0.01", value_parser = super::values::positive)]
     idle_refine: Option<f64>,
+}
+
+/// How much there may be.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Limits")]
+struct LimitArgs {
+    /// Size of an uploaded scene or asset, in MiB [default: 512]
+    #[arg(long, value_name = "MIB", env = "REBAKE_MAX_UPLOAD")]
+    max_upload: Option<NonZeroUsize>,
+    /// Scenes [default: 64]
+    #[arg(long, value_name = "N", env = "REBAKE_MAX_SCENES")]
+    max_scenes: Option<NonZeroUsize>,
+    /// Assets [default: 1024]
+    #[arg(long, value_name = "N", env = "REBAKE_MAX_ASSETS")]
+    max_assets: Option<NonZeroUsize>,
+    /// Size of all assets together, as uploaded, in MiB [default: 4096]
+    #[arg(long, value_name = "MIB", env = "REBAKE_MAX_ASSET_BYTES")]
+    max_asset_bytes: Option<NonZeroUsize>,
+    /// Open connections [default: 1024]
+    #[arg(long, value_name = "N", env = "REBAKE_MAX_CONNECTIONS")]
+    max_connections: Option<NonZeroUsize>,
+}
+
+impl LimitArgs {
+    fn set(&self, limits: &mut Limits) {
+        let mib = |given: NonZeroUsize| given.get().saturating_mul(1 << 20);
+        let set = |limit: &mut usize, given: Option<usize>| *limit = given.unwrap_or(*limit);
+        set(&mut limits.upload_bytes, self.max_upload.map(mib));
+        set(&mut limits.scenes, self.max_scenes.map(NonZeroUsize::get));
+        set(&mut limits.assets, self.max_assets.map(NonZeroUsize::get));
+        set(&mut limits.asset_bytes, self.max_asset_bytes.map(mib));
+        set(&mut limits.connections, self.max_connections.map(NonZeroUsize::get));
+    }
 }
 
 /// Runs the service until it is told to stop.
@@ -67,6 +106,8 @@ pub(super) async fn serve(args: ServeArgs) -> anyhow::Result<()> {
     let mut config =
         rebake::Config { data_dir: args.data_dir, tokens, cors_origins: args.cors_origin, ..config(args.threads) };
     config.idle_refine = args.idle_refine.map(|error_share| IdleRefine { error_share, ..IdleRefine::default() });
+    config.host_names = args.host_name;
+    args.limits.set(&mut config.limits);
     if let Some(gib) = args.memory {
         config.limits.memory_bytes = (gib * f64::from(1u32 << 30)) as u64;
     }

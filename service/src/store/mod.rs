@@ -63,6 +63,7 @@ pub(crate) trait Store: Send + Sync + Debug {
     ) -> Result<(), StoreError>;
     fn scene_deleted(&self, number: SceneNumber) -> Result<(), StoreError>;
     fn asset_added(&self, id: &str, glb: &[u8]) -> Result<(), StoreError>;
+    fn asset_deleted(&self, id: &str) -> Result<(), StoreError>;
     fn accepted(&self, request: &Accepted<'_>) -> Result<(), StoreError>;
     /// A job's new state.
     fn job_changed(&self, job: &JobRecord) -> Result<(), StoreError>;
@@ -101,6 +102,10 @@ impl Store for InMemory {
     }
 
     fn asset_added(&self, _id: &str, _glb: &[u8]) -> Result<(), StoreError> {
+        Ok(())
+    }
+
+    fn asset_deleted(&self, _id: &str) -> Result<(), StoreError> {
         Ok(())
     }
 

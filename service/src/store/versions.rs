@@ -218,11 +218,6 @@ impl Published {
         self.objects.get_or_init(|| objects(&self.world).collect())
     }
 
-    /// Whether [`Published::objects`] answers at once.
-    pub(crate) fn knows_objects(&self) -> bool {
-        self.objects.get().is_some()
-    }
-
     /// One value per slot, in the scene's mode.
     pub(crate) fn values(&self) -> &[Vec3] {
         &self.delivered

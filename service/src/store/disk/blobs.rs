@@ -51,7 +51,11 @@ impl Blobs {
         fs::create_dir_all(&blobs)?;
         fs::create_dir_all(&temporary)?;
         for entry in fs::read_dir(&temporary)? {
-            fs::remove_file(entry?.path())?;
+            let entry = entry?;
+            // Ours have numbers.
+            if entry.file_name().to_str().is_some_and(|name| name.parse::<u64>().is_ok()) {
+                fs::remove_file(entry.path())?;
+            }
         }
         sync_directory(directory)?;
         Ok(Blobs { blobs, temporary, faults, count: AtomicU64::new(0), pins: Mutex::default() })
@@ -105,7 +109,9 @@ impl Blobs {
             }
             for file in fs::read_dir(directory)? {
                 let file = file?;
-                if !file.file_name().to_str().is_some_and(|name| referred.contains(name)) {
+                let name = file.file_name();
+                // What has no hash for a name is not ours.
+                if name.to_str().is_some_and(|name| blake3::Hash::from_hex(name).is_ok() && !referred.contains(name)) {
                     fs::remove_file(file.path())?;
                     removed += 1;
                 }

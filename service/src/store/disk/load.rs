@@ -104,6 +104,10 @@ impl Disk {
         let sql = "SELECT blob FROM scenes UNION SELECT id FROM assets UNION SELECT map FROM light
             UNION SELECT changed FROM light UNION SELECT lit FROM light WHERE lit IS NOT NULL";
         let referred: HashSet<BlobId> = column(connection, sql)?.into_iter().collect();
+        if referred.is_empty() {
+            // Rather too much is kept than an emptied database believed.
+            return Ok(());
+        }
         let removed = self.blobs.sweep(&referred)?;
         if removed > 0 {
             tracing::info!(removed, "files that nothing refers to");

@@ -6,7 +6,9 @@
 mod blobs;
 mod codec;
 mod load;
+mod mark;
 mod schema;
+mod spare;
 mod write;
 
 use std::fs::{File, TryLockError};
@@ -19,6 +21,7 @@ use super::StoreError;
 use super::faults::{Faults, WriteStep};
 use blobs::Blobs;
 pub(crate) use load::{Saved, SavedScene};
+use spare::Spare;
 
 /// An open data directory. One process at a time has it.
 #[derive(Debug)]
@@ -26,15 +29,17 @@ pub(crate) struct Disk {
     /// None once it is closed.
     connection: Mutex<Option<Connection>>,
     blobs: Blobs,
+    spare: Spare,
     faults: Faults,
     max_keys: usize,
     lock: Mutex<Option<File>>,
 }
 
 impl Disk {
-    /// Opens a data directory, or makes one. `max_keys`: idempotency keys that are kept per scene.
+    /// Opens a data directory, or makes one where there is none or an empty directory. `max_keys`: idempotency keys that are kept per scene.
     pub(crate) fn open(directory: &Path, faults: Faults, max_keys: usize) -> Result<Disk, StoreError> {
         std::fs::create_dir_all(directory)?;
+        mark::check(directory)?;
         let lock = File::options().create(true).truncate(false).write(true).open(directory.join("lock"))?;
         match lock.try_lock() {
             Ok(()) => {}
@@ -44,10 +49,12 @@ impl Disk {
             }
             Err(TryLockError::Error(error)) => return Err(error.into()),
         }
+        mark::mark(directory)?;
+        let mut connection = Connection::open(directory.join(mark::DATABASE))?;
+        schema::prepare(&mut connection, mark::has_blobs(directory)?)?;
         let blobs = Blobs::open(directory, faults.clone())?;
-        let mut connection = Connection::open(directory.join("rebake.db"))?;
-        schema::prepare(&mut connection)?;
-        Ok(Disk { connection: Mutex::new(Some(connection)), blobs, faults, max_keys, lock: Mutex::new(Some(lock)) })
+        let (connection, lock) = (Mutex::new(Some(connection)), Mutex::new(Some(lock)));
+        Ok(Disk { connection, blobs, spare: Spare::new(directory), faults, max_keys, lock })
     }
 
     /// Runs `change` as one transaction.

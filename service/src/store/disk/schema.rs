@@ -27,8 +27,13 @@ CREATE TABLE light (
     changed TEXT NOT NULL, lit_sequence INTEGER, lit TEXT);
 ";
 
-/// Makes a connection durable and checks that it is a database of this program.
-pub(super) fn prepare(connection: &mut Connection) -> Result<(), StoreError> {
+/// Makes a connection durable and checks that it is a database of this program. `has_files`: there are files that a
+/// database has to know, so it cannot be new.
+pub(super) fn prepare(connection: &mut Connection, has_files: bool) -> Result<(), StoreError> {
+    let version: i64 = connection.query_row("PRAGMA user_version", [], |row| row.get(0))?;
+    if has_files && (version == 0 || number(connection, "life")? == 0) {
+        return Err(super::mark::database_lost());
+    }
     // FULL: a commit is on the disk when it returns, whatever becomes of the power.
     connection.execute_batch(
         "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; PRAGMA foreign_keys = ON; PRAGMA busy_timeout = 5000;",
@@ -37,7 +42,6 @@ pub(super) fn prepare(connection: &mut Connection) -> Result<(), StoreError> {
     if health != "ok" {
         return Err(StoreError::damaged("the database is damaged", health));
     }
-    let version: i64 = connection.query_row("PRAGMA user_version", [], |row| row.get(0))?;
     match version {
         0 => {
             let transaction = connection.transaction()?;

@@ -28,12 +28,11 @@ impl Store for Disk {
         glb: &[u8],
         bake: Option<&JobRecord>,
     ) -> Result<(), StoreError> {
-        let pin = self.blobs.put(glb)?;
         let record = to_json(scene)?;
-        self.transact(|t| {
+        self.with_file(glb, |t, blob| {
             let sql = "INSERT INTO scenes (number, record, blob, jobs, reserved) VALUES (?1, ?2, ?3, ?4, ?5)";
             let jobs = i64::from(bake.is_some());
-            t.execute(sql, (number as i64, record, &pin.id, jobs, FIRST_RESERVE as i64))?;
+            t.execute(sql, (number as i64, record, blob, jobs, FIRST_RESERVE as i64))?;
             schema::raise(t, "newest_scene", number)?;
             bake.map_or(Ok(()), |job| put_job(t, job))
         })
@@ -41,7 +40,7 @@ impl Store for Disk {
 
     fn scene_deleted(&self, number: SceneNumber) -> Result<(), StoreError> {
         let number = number as i64;
-        let files = self.transact(|t| {
+        let files = self.freeing(|t| {
             let mut files = light_files(t, number)?;
             let sql = "SELECT blob FROM scenes WHERE number = ?1";
             files.extend(t.query_row(sql, [number], |row| row.get::<_, BlobId>(0)).optional()?);
@@ -57,14 +56,22 @@ impl Store for Disk {
     }
 
     fn asset_added(&self, id: &str, glb: &[u8]) -> Result<(), StoreError> {
-        let pin = self.blobs.put(glb)?;
-        if pin.id != id {
-            return Err(StoreError::damaged("an asset has another hash than its bytes", id));
-        }
-        self.transact(|t| {
+        self.with_file(glb, |t, blob| {
+            if blob != id {
+                return Err(StoreError::damaged("an asset has another hash than its bytes", id));
+            }
             t.execute("INSERT OR IGNORE INTO assets (id) VALUES (?1)", [id])?;
             Ok(())
         })
+    }
+
+    fn asset_deleted(&self, id: &str) -> Result<(), StoreError> {
+        self.freeing(|t| {
+            t.execute("DELETE FROM assets WHERE id = ?1", [id])?;
+            Ok(())
+        })?;
+        self.collect(&[id.to_owned()]);
+        Ok(())
     }
 
     fn accepted(&self, request: &Accepted<'_>) -> Result<(), StoreError> {
@@ -114,6 +121,22 @@ impl Store for Disk {
 }
 
 impl Disk {
+    /// Writes a file, then what refers to it. Where that fails the file goes again: nobody was told of it.
+    fn with_file(
+        &self,
+        bytes: &[u8],
+        change: impl FnOnce(&Transaction<'_>, &str) -> Result<(), StoreError>,
+    ) -> Result<(), StoreError> {
+        let pin = self.blobs.put(bytes)?;
+        let changed = self.transact(|t| change(t, &pin.id));
+        let id = pin.id.clone();
+        drop(pin);
+        if changed.is_err() {
+            self.collect(&[id]);
+        }
+        changed
+    }
+
     /// Files first, then the row that refers to them and whatever else `also` keeps.
     fn save(
         &self,
@@ -157,6 +180,7 @@ impl Disk {
                 Ok(open(&connection)?.query_row(sql, [id], |row| row.get(0))?)
             });
         }
+        self.keep_spare();
     }
 }
 
