@@ -1,10 +1,15 @@
-//! Edits as plain data: what a client may change. [`crate::World::apply`] turns them into a new scene.
+//! Edits as plain data: what a client may change. [`crate::World::apply`] turns them into a new scene;
+//! [`Edit::effects`] and [`Edit::cost`] tell what each writes and what its light costs.
+
+mod effects;
 
 use std::sync::Arc;
 
 use glam::{DMat4, DVec3, Vec3};
 
 use crate::scene::{LightKind, Scene};
+
+pub use effects::{Cost, Effect, Property, Thing};
 
 /// One change to a scene. A request may hold several; they are applied as a unit or not at all.
 #[derive(Clone, Debug)]

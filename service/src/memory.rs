@@ -2,6 +2,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use rebake_core::edit::Cost;
 use rebake_core::scene::Object;
 use rebake_core::surface::{DEFAULT_ELEMENTS, default_spacing, object_area};
 
@@ -26,7 +27,7 @@ pub(crate) fn estimate(scene: &Scene, spacing: Option<f32>) -> u64 {
 /// Bytes that what `edits` insert will take, at the size at which it is inserted.
 pub(crate) fn estimate_inserts(edits: &[Edit], spacing: f32) -> u64 {
     let bytes = |edit: &Edit| {
-        let Edit::Insert { asset, transform, .. } = edit else { return 0 };
+        let Cost::Elements { asset, transform } = edit.cost() else { return 0 };
         let placed =
             |object: &Object| Object { world_from_object: *transform * object.world_from_object, ..object.clone() };
         let area = asset.objects.iter().map(|object| object_area(&placed(object))).sum();

@@ -67,7 +67,7 @@ pub(super) async fn create(State(app): Shared, headers: HeaderMap, body: Body) -
 
 /// Keeps an asset. One that is refused leaves nothing behind.
 fn add(app: &App, glb: &Bytes) -> ApiResult<(StatusCode, Json<Asset>)> {
-    let scene = engine::load(glb, &app.config.limits).map_err(uploads::load_problem)?;
+    let scene = engine::load(glb, &app.config.limits, None).map_err(uploads::load_problem)?;
     uploads::check_strengths(&scene)?;
     let id = Assets::id_of(glb);
     let asset = Asset { asset: id.clone(), triangles: triangles(&scene), warnings: scene.warnings.clone() };

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use rebake_core::edit::{Effect, Property, Thing};
 use serde::Deserialize;
 
 use super::edit_lights::{check_group, check_products};
@@ -217,15 +218,19 @@ fn expected(scene: &SceneEntry, published: &Published, after: &Scene, edits: &[E
     let waiting = scene.unlit_edits();
     let all = || waiting.iter().flat_map(|(_, edits)| edits.iter()).chain(edits);
     let is_alone = |light: &str| published.map.layer_of(light).is_some_and(|layer| layer.lights.len() == 1);
-    let relit = all().filter_map(|edit| if let Edit::Relight { lights } = edit { Some(lights) } else { None });
-    let relit = relit.flatten().map(|relight| relight.light.as_str());
+    let effects = || all().flat_map(Edit::effects);
+    let relit = effects().filter_map(|effect| match effect {
+        Effect::Sets(Thing::Light(light), Property::Strength) => Some(light),
+        Effect::Sets(..) | Effect::Comes(_) | Effect::Goes(_) | Effect::LightsComeOrGo => None,
+    });
     names.extend(relit.filter(|light| !is_alone(light) && !after.groups.contains_key(*light)));
     if names.is_empty() {
         return 0;
     }
-    names.extend(
-        all().filter_map(|edit| if let Edit::InsertLight { name, .. } = edit { Some(name.as_str()) } else { None }),
-    );
+    names.extend(effects().filter_map(|effect| match effect {
+        Effect::Comes(Thing::Light(light)) => Some(light),
+        Effect::Comes(Thing::Object(_)) | Effect::Goes(_) | Effect::LightsComeOrGo | Effect::Sets(..) => None,
+    }));
     if published.layers.is_empty() && after.lights.len() > names.len() {
         names.insert(SHARED_LAYER);
     }

@@ -1,22 +1,23 @@
 //! Fewer edits to the same end: edits that queue up behind each other are lit as one where that gives the same result.
 //!
 //! Pure functions on lists of edits that were accepted one after the other. Of five moves of one object the last one
-//! counts; an object that comes and goes leaves nothing; relights of a light add up to one.
+//! counts; an object that comes and goes leaves nothing; relights of a light add up to one. What an edit does is asked of
+//! its effects ([`Effect`]): no kind of edit is named here.
 
-use rebake_core::edit::name_matches;
-use rebake_core::scene::LightKind;
+use rebake_core::edit::{Effect, Property, Thing};
 
-use crate::engine::{Edit, Relight};
+use crate::engine::Edit;
 
 /// More edits than this are lit one by one: the search is quadratic.
 const MAX_EDITS: usize = 1024;
 
 /// An equivalent list, as short as it gets. Relights of several lights count as several edits.
 pub(crate) fn simplify(edits: impl IntoIterator<Item = Edit>) -> Vec<Edit> {
-    let mut edits: Vec<Option<Edit>> = edits.into_iter().flat_map(split).map(Some).collect();
+    let mut edits: Vec<Option<Edit>> = edits.into_iter().flat_map(Edit::split).map(Some).collect();
     if edits.len() <= MAX_EDITS {
         for later in 1..edits.len() {
-            absorb(&mut edits, later);
+            let (before, rest) = edits.split_at_mut(later);
+            rest[0] = rest[0].take().and_then(|edit| absorb(before, edit));
         }
     }
     edits.into_iter().flatten().collect()
@@ -24,7 +25,7 @@ pub(crate) fn simplify(edits: impl IntoIterator<Item = Edit>) -> Vec<Edit> {
 
 /// How many edits [`simplify`] counts before it begins.
 pub(crate) fn count(edits: &[Edit]) -> usize {
-    edits.iter().map(|edit| if let Edit::Relight { lights } = edit { lights.len() } else { 1 }).sum()
+    edits.iter().cloned().map(|edit| edit.split().len()).sum()
 }
 
 /// Lights that are dragged, where the edits do nothing else.
@@ -36,168 +37,66 @@ pub(crate) fn dragged_by(edits: &[Edit]) -> Vec<String> {
     edits.iter().map(dragged).collect::<Option<_>>().unwrap_or_default()
 }
 
-fn split(edit: Edit) -> Vec<Edit> {
-    match edit {
-        Edit::Relight { lights } => lights.into_iter().map(|light| Edit::Relight { lights: vec![light] }).collect(),
-        edit => vec![edit],
+/// Takes out what an edit makes superfluous before it, and answers what is left of the edit itself.
+fn absorb(before: &mut [Option<Edit>], edit: Edit) -> Option<Edit> {
+    let mut left = edit.clone();
+    let effects = edit.effects();
+    if let [Effect::Sets(thing, property)] = effects[..]
+        && is_replaced(property)
+        && let Some(earlier) = last_setting(before, thing, property)
+    {
+        before[earlier].take().into_iter().for_each(|earlier| left.take_over(earlier));
+    }
+    for effect in effects {
+        if let Effect::Goes(thing) = effect
+            && vanishes(before, thing)
+        {
+            left = left.without(thing)?;
+        }
+    }
+    Some(left)
+}
+
+/// Whether a new value makes the old one as if it had never been. How many groups there are decides which others may be.
+fn is_replaced(property: Property) -> bool {
+    match property {
+        Property::Place | Property::Albedo | Property::Strength => true,
+        Property::Group => false,
     }
 }
 
-/// Takes out what the edit at `later` makes superfluous before it, and that edit itself where nothing is left of it.
-fn absorb(edits: &mut [Option<Edit>], later: usize) {
-    let (before, rest) = edits.split_at_mut(later);
-    let slot = &mut rest[0];
-    match slot {
-        Some(Edit::Move { object, .. }) => {
-            take_last(before, object, |edit, name| matches!(edit, Edit::Move { object, .. } if object == name));
+/// Where a property of a thing was set last, unless its name may have meant something else then.
+fn last_setting(before: &[Option<Edit>], thing: Thing<'_>, property: Property) -> Option<usize> {
+    for (at, edit) in before.iter().enumerate().rev() {
+        let Some(effects) = edit.as_ref().map(Edit::effects) else { continue };
+        if effects == [Effect::Sets(thing, property)] {
+            return Some(at);
         }
-        Some(Edit::Material { object, .. }) => {
-            take_last(before, object, |edit, name| matches!(edit, Edit::Material { object, .. } if object == name));
-        }
-        Some(Edit::Remove { objects }) => {
-            objects.retain(|name| !vanishes(before, name));
-            if objects.is_empty() {
-                *slot = None;
-            }
-        }
-        Some(Edit::Relight { lights }) => lights.iter_mut().for_each(|light| add_relight(before, light)),
-        Some(Edit::MoveLight { light, position, direction, drag }) => {
-            if let Some(earlier) = last_of_light(before, light, |edit| matches!(edit, Edit::MoveLight { .. }))
-                && let Some(Edit::MoveLight {
-                    position: old_position, direction: old_direction, drag: was_dragged, ..
-                }) = earlier.take()
-            {
-                *drag |= was_dragged;
-                *position = position.or(old_position);
-                *direction = direction.or(old_direction);
-            }
-        }
-        Some(Edit::RemoveLight { light }) => {
-            if light_vanishes(before, light) {
-                *slot = None;
-            }
-        }
-        Some(Edit::Insert { .. } | Edit::InsertLight { .. } | Edit::GroupLights { .. }) | None => {}
-    }
-}
-
-/// Drops the last edit that `is_same` says is superseded, unless the name meant something else then.
-fn take_last(before: &mut [Option<Edit>], name: &str, is_same: impl Fn(&Edit, &str) -> bool) {
-    for slot in before.iter_mut().rev() {
-        match slot {
-            Some(edit) if is_same(edit, name) => {
-                *slot = None;
-                return;
-            }
-            Some(edit) if comes_or_goes(edit, name) => return,
-            _ => {}
-        }
-    }
-}
-
-/// Whether an object of that name may come or go by the edit.
-fn comes_or_goes(edit: &Edit, object: &str) -> bool {
-    match edit {
-        Edit::Insert { name, .. } => name == object,
-        Edit::Remove { objects } => objects.iter().any(|pattern| name_matches(pattern, object)),
-        _ => false,
-    }
-}
-
-/// An object is removed by name. Where one of the edits before inserted it, that one goes, with all that was done to
-/// the object; true then. Else what was done to it goes all the same.
-fn vanishes(before: &mut [Option<Edit>], name: &str) -> bool {
-    if name.contains('*') {
-        return false;
-    }
-    let of_object =
-        |edit: &Edit| matches!(edit, Edit::Move { object, .. } | Edit::Material { object, .. } if object == name);
-    let came = before.iter().rposition(|edit| edit.as_ref().is_some_and(|edit| comes_or_goes(edit, name)));
-    let first = came.map_or(0, |at| at + 1);
-    for slot in &mut before[first..] {
-        if slot.as_ref().is_some_and(of_object) {
-            *slot = None;
-        }
-    }
-    let Some(came) = came else { return false };
-    // Lights that came with it have names of their own that other edits may use.
-    let is_plain = matches!(&before[came], Some(Edit::Insert { asset, .. })
-        if asset.lights.iter().all(|light| matches!(light.kind, LightKind::Environment)));
-    if is_plain {
-        before[came] = None;
-    }
-    is_plain
-}
-
-/// The last edit of a light that `is_wanted` says yes to, unless the name may have meant something else then.
-fn last_of_light<'a>(
-    before: &'a mut [Option<Edit>],
-    light: &str,
-    is_wanted: impl Fn(&Edit) -> bool,
-) -> Option<&'a mut Option<Edit>> {
-    for slot in before.iter_mut().rev() {
-        let Some(edit) = slot else { continue };
-        if names_light(edit, light) && is_wanted(edit) {
-            return Some(slot);
-        }
-        if light_comes_or_goes(edit, light) {
+        if effects.iter().any(|effect| effect.brings_or_takes(thing)) {
             return None;
         }
     }
     None
 }
 
-fn names_light(edit: &Edit, name: &str) -> bool {
-    match edit {
-        Edit::Relight { lights } => lights.iter().any(|light| light.light == name),
-        Edit::MoveLight { light, .. } => light == name,
-        _ => false,
-    }
-}
-
-/// Whether a light of that name may come or go by the edit. Objects take their lights along.
-fn light_comes_or_goes(edit: &Edit, light: &str) -> bool {
-    match edit {
-        Edit::Insert { asset, .. } => !asset.lights.is_empty(),
-        Edit::Remove { .. } => true,
-        Edit::InsertLight { name, .. } => name == light,
-        Edit::RemoveLight { light: removed } => removed == light,
-        _ => false,
-    }
-}
-
-fn add_relight(before: &mut [Option<Edit>], relight: &mut Relight) {
-    let Some(earlier) = last_of_light(before, &relight.light, |edit| matches!(edit, Edit::Relight { .. })) else {
-        return;
-    };
-    if let Some(Edit::Relight { lights }) = earlier.take() {
-        for old in lights {
-            relight.color = relight.color.or(old.color);
-            relight.intensity = relight.intensity.or(old.intensity);
-        }
-    }
-}
-
-/// A light is removed. Where one of the edits before inserted it, that one goes with all that was done to the light.
-fn light_vanishes(before: &mut [Option<Edit>], light: &str) -> bool {
-    let is_end = |edit: &Option<Edit>| edit.as_ref().is_some_and(|edit| light_comes_or_goes(edit, light));
-    let Some(came) = before.iter().rposition(is_end) else { return false };
-    if !matches!(&before[came], Some(Edit::InsertLight { .. })) {
+/// A thing goes, by its name: what was done to it before goes too. Where one of the edits before brought it and nothing
+/// else, that one goes as well; true then.
+fn vanishes(before: &mut [Option<Edit>], thing: Thing<'_>) -> bool {
+    if matches!(thing, Thing::Object(pattern) if pattern.contains('*')) {
         return false;
     }
-    for slot in &mut before[came..] {
-        if let Some(Edit::GroupLights { lights, .. }) = slot {
-            lights.retain(|name| name != light);
-            if lights.is_empty() {
-                *slot = None;
-            }
-        }
-        if slot.as_ref().is_some_and(|edit| names_light(edit, light)) {
-            *slot = None;
-        }
+    let may_bring = |edit: &Edit| edit.effects().iter().any(|effect| effect.brings_or_takes(thing));
+    let came = before.iter().rposition(|edit| edit.as_ref().is_some_and(may_bring));
+    for edit in &mut before[came.map_or(0, |at| at + 1)..] {
+        *edit = edit.take().and_then(|edit| edit.without(thing));
     }
-    before[came] = None;
-    true
+    let Some(came) = came else { return false };
+    // What came with it has names of its own, which other edits may use.
+    let is_all = before[came].as_ref().is_some_and(|edit| edit.effects() == [Effect::Comes(thing)]);
+    if is_all {
+        before[came] = None;
+    }
+    is_all
 }
 
 #[cfg(test)]
@@ -207,9 +106,12 @@ mod tests {
 
     use glam::{DMat4, DVec3, Vec3};
 
+    use rebake_core::edit::name_matches;
+    use rebake_core::scene::LightKind;
+
     use super::super::tests::Dice;
     use super::*;
-    use crate::engine::Scene;
+    use crate::engine::{Relight, Scene};
 
     /// What the edits do, as far as they can meddle with each other.
     #[derive(Clone, Debug, Default, PartialEq)]

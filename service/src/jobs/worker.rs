@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use rayon::ThreadPool;
+use rebake_core::edit::Cost;
 
 use super::merge::{self, dragged_by};
 use super::observer::JobObserver;
@@ -199,7 +200,7 @@ struct Step {
 impl Step {
     /// Nothing but strengths of lights changes.
     fn relights(&self) -> bool {
-        self.edits.iter().all(|edit| matches!(edit, Edit::Relight { .. }))
+        self.edits.iter().all(|edit| matches!(edit.cost(), Cost::Weights))
     }
 
     /// As one edit that is still to be lit, where clients know its slots.

@@ -4,6 +4,8 @@
 use std::collections::{HashSet, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
+use rebake_core::edit::{Effect, Thing};
+
 use crate::engine::{Edit, Layer, LightMap, Transition, VALUE_BYTES, World, fitted, have_same_slots};
 use crate::jobs::merge;
 
@@ -87,7 +89,8 @@ impl Earlier {
         transition: &Transition,
         edits: &[Edit],
     ) -> Option<Shortcut> {
-        if !edits.iter().all(|edit| matches!(edit, Edit::Move { .. } | Edit::Material { .. })) {
+        let stays = |effect: &Effect<'_>| matches!(effect, Effect::Sets(Thing::Object(_), _));
+        if !edits.iter().all(|edit| edit.effects().iter().all(stays)) {
             return None;
         }
         // Worlds take long to change: not under the lock.

@@ -40,6 +40,7 @@ pub(crate) struct SavedScene {
     light: Option<SavedLight>,
 }
 
+#[derive(Default)]
 struct SavedLight {
     about: String,
     map: BlobId,
@@ -119,7 +120,12 @@ impl Disk {
 fn column(connection: &Connection, sql: &str) -> Result<Vec<String>, StoreError> {
     let mut select = connection.prepare(sql)?;
     let rows = select.query_map([], |row| row.get(0))?;
-    Ok(rows.collect::<Result<_, _>>()?)
+    Ok(readable(rows, sql))
+}
+
+/// The rows that can be read. The others are told and left out: one bad row must not cost all that is good.
+fn readable<T>(rows: impl Iterator<Item = rusqlite::Result<T>>, what: &str) -> Vec<T> {
+    rows.filter_map(|row| row.inspect_err(|error| tracing::error!(%error, what, "a row is left out")).ok()).collect()
 }
 
 fn scenes(connection: &Connection) -> Result<Vec<SavedScene>, StoreError> {
@@ -128,14 +134,8 @@ fn scenes(connection: &Connection) -> Result<Vec<SavedScene>, StoreError> {
     let mut select = connection.prepare(sql)?;
     let rows = select.query_map([], |row| {
         let record: String = row.get(1)?;
-        let light = match row.get::<_, Option<String>>(5)? {
-            None => None,
-            Some(about) => {
-                let sequence: Option<i64> = row.get(8)?;
-                let lit = sequence.map(|sequence| sequence as Sequence).zip(row.get(9)?);
-                Some(SavedLight { about, map: row.get(6)?, changed: row.get(7)?, lit })
-            }
-        };
+        // A row that cannot be read is light that cannot be: it is baked afresh.
+        let light = saved_light(row).unwrap_or_else(|_| Some(SavedLight::default()));
         Ok(SavedScene {
             number: row.get::<_, i64>(0)? as SceneNumber,
             record: from_json(&record),
@@ -147,12 +147,24 @@ fn scenes(connection: &Connection) -> Result<Vec<SavedScene>, StoreError> {
             light,
         })
     })?;
-    let mut scenes = rows.collect::<Result<Vec<_>, _>>()?;
+    let mut scenes = readable(rows, "scenes");
     for scene in &mut scenes {
-        scene.edits = edits(connection, scene.number)?;
+        match edits(connection, scene.number) {
+            Ok(edits) => scene.edits = edits,
+            // Without one of its edits it would be another scene.
+            Err(error) => scene.record = Err(error),
+        }
         scene.keys = keys(connection, scene.number)?;
     }
     Ok(scenes)
+}
+
+/// The columns of a scene's light, where it has any.
+fn saved_light(row: &rusqlite::Row<'_>) -> rusqlite::Result<Option<SavedLight>> {
+    let Some(about) = row.get::<_, Option<String>>(5)? else { return Ok(None) };
+    let sequence: Option<i64> = row.get(8)?;
+    let lit = sequence.map(|sequence| sequence as Sequence).zip(row.get(9)?);
+    Ok(Some(SavedLight { about, map: row.get(6)?, changed: row.get(7)?, lit }))
 }
 
 fn edits(connection: &Connection, scene: SceneNumber) -> Result<Vec<(Sequence, Vec<u8>)>, StoreError> {
@@ -172,7 +184,7 @@ fn keys(connection: &Connection, scene: SceneNumber) -> Result<Vec<KeyRecord>, S
         let body_hash = blake3::Hash::from_hex(hash).unwrap_or_else(|_| blake3::Hash::from_bytes([0; 32]));
         Ok(KeyRecord { key, body_hash, job: job as JobNumber, answer: answer.into() })
     })?;
-    Ok(rows.collect::<Result<_, _>>()?)
+    Ok(readable(rows, "keys"))
 }
 
 fn jobs(connection: &Connection) -> Result<Vec<Result<JobRecord, StoreError>>, StoreError> {

@@ -1,0 +1,192 @@
+//! The table of edits: what each reads, writes and costs, and what becomes of two that meet.
+//!
+//! Whoever wants to know which edits are lit as one, which one another makes superfluous, or what memory one takes asks
+//! here and nowhere else. A new kind of edit is an arm of each of these matches; the compiler finds the missing ones.
+
+use glam::DMat4;
+
+use super::{Edit, name_matches};
+use crate::scene::{LightKind, Scene};
+
+/// What edits are about, by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Thing<'a> {
+    /// An object.
+    Object(&'a str),
+    /// A light.
+    Light(&'a str),
+}
+
+/// What an edit gives a new value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Property {
+    /// Where an object or a light stands, and how it is turned.
+    Place,
+    /// The albedo of all materials of an object.
+    Albedo,
+    /// Colour and intensity of a light.
+    Strength,
+    /// The group of a light.
+    Group,
+}
+
+/// What an edit writes. It reads whether the things that it names are there: what comes must not be, all else has to be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Effect<'a> {
+    /// A thing comes.
+    Comes(Thing<'a>),
+    /// A thing goes. Objects: all whose names match.
+    Goes(Thing<'a>),
+    /// Lights come or go that the edit does not name: those that belong to objects.
+    LightsComeOrGo,
+    /// A thing that stays has another value of a property.
+    Sets(Thing<'a>, Property),
+}
+
+impl Effect<'_> {
+    /// Whether a thing of that name may come or go by it.
+    pub fn brings_or_takes(&self, thing: Thing<'_>) -> bool {
+        match (self, thing) {
+            (Effect::Comes(other), _) => *other == thing,
+            (Effect::Goes(Thing::Object(pattern)), Thing::Object(name)) => name_matches(pattern, name),
+            (Effect::Goes(other), _) => *other == thing,
+            (Effect::LightsComeOrGo, Thing::Light(_)) => true,
+            (Effect::LightsComeOrGo, Thing::Object(_)) | (Effect::Sets(..), _) => false,
+        }
+    }
+}
+
+/// What the light after an edit costs, the cheapest first.
+#[derive(Clone, Copy, Debug)]
+pub enum Cost<'a> {
+    /// Layers are split or joined: no other light.
+    Layers,
+    /// Weights of layers: rays only where a light has no layer of its own yet.
+    Weights,
+    /// Light of lights that come, go or move, everywhere; surfaces and their transport stay.
+    Lights,
+    /// Light between the surfaces that change and all others.
+    Surfaces,
+    /// Light between what comes and all else, and elements for what comes.
+    Elements {
+        /// What comes.
+        asset: &'a Scene,
+        /// Asset space to world space, metres.
+        transform: &'a DMat4,
+    },
+}
+
+impl Edit {
+    /// What it writes.
+    pub fn effects(&self) -> Vec<Effect<'_>> {
+        match self {
+            Edit::Insert { asset, name, .. } => {
+                // An asset's environment stays behind.
+                let is_brought = |kind: &LightKind| !matches!(kind, LightKind::Environment);
+                let brings_lights = asset.lights.iter().any(|light| is_brought(&light.kind));
+                let lights = brings_lights.then_some(Effect::LightsComeOrGo);
+                [Effect::Comes(Thing::Object(name))].into_iter().chain(lights).collect()
+            }
+            Edit::Remove { objects } => {
+                let goes = objects.iter().map(|pattern| Effect::Goes(Thing::Object(pattern)));
+                goes.chain([Effect::LightsComeOrGo]).collect()
+            }
+            Edit::Move { object, .. } => vec![Effect::Sets(Thing::Object(object), Property::Place)],
+            Edit::Material { object, .. } => vec![Effect::Sets(Thing::Object(object), Property::Albedo)],
+            Edit::Relight { lights } => {
+                lights.iter().map(|one| Effect::Sets(Thing::Light(&one.light), Property::Strength)).collect()
+            }
+            Edit::InsertLight { name, .. } => vec![Effect::Comes(Thing::Light(name))],
+            Edit::RemoveLight { light } => vec![Effect::Goes(Thing::Light(light))],
+            Edit::MoveLight { light, .. } => vec![Effect::Sets(Thing::Light(light), Property::Place)],
+            Edit::GroupLights { lights, .. } => {
+                lights.iter().map(|light| Effect::Sets(Thing::Light(light), Property::Group)).collect()
+            }
+        }
+    }
+
+    /// What its light costs.
+    pub fn cost(&self) -> Cost<'_> {
+        match self {
+            Edit::GroupLights { .. } => Cost::Layers,
+            Edit::Relight { .. } => Cost::Weights,
+            Edit::InsertLight { .. } | Edit::RemoveLight { .. } | Edit::MoveLight { .. } => Cost::Lights,
+            Edit::Remove { .. } | Edit::Move { .. } | Edit::Material { .. } => Cost::Surfaces,
+            Edit::Insert { asset, transform, .. } => Cost::Elements { asset, transform },
+        }
+    }
+
+    /// Edits of one thing each that together do what this one does, as far as their order is of no matter.
+    pub fn split(self) -> Vec<Edit> {
+        match self {
+            Edit::Relight { lights } => lights.into_iter().map(|one| Edit::Relight { lights: vec![one] }).collect(),
+            // Patterns are all looked up before anything goes, and groups are counted once.
+            edit @ (Edit::Remove { .. } | Edit::GroupLights { .. }) => vec![edit],
+            edit @ (Edit::Insert { .. }
+            | Edit::Move { .. }
+            | Edit::Material { .. }
+            | Edit::InsertLight { .. }
+            | Edit::RemoveLight { .. }
+            | Edit::MoveLight { .. }) => vec![edit],
+        }
+    }
+
+    /// Takes over what an earlier edit of the same property of the same thing set and this one leaves open.
+    pub fn take_over(&mut self, earlier: Edit) {
+        match (self, earlier) {
+            (Edit::Relight { lights }, Edit::Relight { lights: earlier }) => {
+                for old in earlier {
+                    lights.iter_mut().filter(|one| one.light == old.light).for_each(|one| {
+                        one.color = one.color.or(old.color);
+                        one.intensity = one.intensity.or(old.intensity);
+                    });
+                }
+            }
+            (
+                Edit::MoveLight { position, direction, drag, .. },
+                Edit::MoveLight { position: old_position, direction: old_direction, drag: was_dragged, .. },
+            ) => {
+                *drag |= was_dragged;
+                *position = position.or(old_position);
+                *direction = direction.or(old_direction);
+            }
+            // They leave nothing open.
+            (
+                Edit::Insert { .. }
+                | Edit::Remove { .. }
+                | Edit::Move { .. }
+                | Edit::Material { .. }
+                | Edit::Relight { .. }
+                | Edit::InsertLight { .. }
+                | Edit::RemoveLight { .. }
+                | Edit::MoveLight { .. }
+                | Edit::GroupLights { .. },
+                _,
+            ) => {}
+        }
+    }
+
+    /// What is left of it where it says nothing of a thing; none where that was all.
+    pub fn without(mut self, thing: Thing<'_>) -> Option<Edit> {
+        let is_object = |name: &str| thing == Thing::Object(name);
+        let is_light = |name: &str| thing == Thing::Light(name);
+        let is_left = match &mut self {
+            Edit::Remove { objects } => keep(objects, |name| !is_object(name)),
+            Edit::Relight { lights } => keep(lights, |one| !is_light(&one.light)),
+            Edit::GroupLights { lights, .. } => keep(lights, |name| !is_light(name)),
+            Edit::Insert { name: object, .. } | Edit::Move { object, .. } | Edit::Material { object, .. } => {
+                !is_object(object)
+            }
+            Edit::InsertLight { name: light, .. } | Edit::RemoveLight { light } | Edit::MoveLight { light, .. } => {
+                !is_light(light)
+            }
+        };
+        is_left.then_some(self)
+    }
+}
+
+/// Keeps what `is_kept` says yes to; whether anything is left.
+fn keep<T>(list: &mut Vec<T>, is_kept: impl FnMut(&T) -> bool) -> bool {
+    list.retain(is_kept);
+    !list.is_empty()
+}
