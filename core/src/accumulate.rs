@@ -3,7 +3,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::rounds::Estimate;
+use crate::estimate::Estimate;
 use crate::scatter::scatter_of_neighbours;
 use crate::transport::Value;
 use crate::world::{Stated, World};

@@ -8,16 +8,18 @@ use rayon::prelude::*;
 
 use crate::accumulate::Accumulator;
 use crate::ambient::with_ambient;
+use crate::estimate::Estimate;
 use crate::focus::Focus;
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer, Pass, Progress};
-use crate::layers::{Apart, Computed, Header, Stack, groups_of, weights_of, weights_within, with_layers};
+use crate::layers::{Apart, Computed, Header, Stack, groups_of, weights_of, weights_within};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
-use crate::rounds::{Estimate, First, Goal, Phase, Round, Rounds};
+use crate::rounds::{First, Goal, Phase, Round, Rounds};
 use crate::solve::{Exchange, Paths, Rows, Subset};
 use crate::transport::direct::direct_at;
 use crate::transport::{Effort, Field, Hint, Value, Work, blacken, for_slots, gathered};
+use crate::value::with_layers;
 use crate::world::World;
 
 /// Samples per representative and round: at least, at most.

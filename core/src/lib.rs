@@ -10,6 +10,7 @@ pub mod bvh;
 pub mod delta;
 mod drag;
 pub mod edit;
+mod estimate;
 pub mod export;
 mod focus;
 mod hash;
@@ -19,6 +20,8 @@ pub mod layers;
 pub mod lightmap;
 mod memory;
 pub mod metrics;
+#[cfg(test)]
+mod module_graph;
 mod order;
 pub mod paper;
 pub mod path;
@@ -35,6 +38,7 @@ pub mod surface;
 mod tiles;
 mod transport;
 mod update;
+mod value;
 mod world;
 
 pub use bake::bake;

@@ -4,7 +4,11 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use crate::layers::Layer;
+/// A map has at most so many layers. Where more lights are relit one by one, those that are left share a layer.
+pub const MAX_LAYERS: usize = 16;
+
+/// So many groups of lights have layers of their own: the lights in none need one, too.
+pub const MAX_GROUPS: usize = MAX_LAYERS - 1;
 
 /// Values per element slot: outgoing radiance / albedo = irradiance / π, linear RGB. Slots without an element are zero.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -17,6 +21,30 @@ pub struct LightMap {
     pub variance: Vec<f32>,
     /// The same light by the lights it stems from; empty until somebody relights a light or groups lights.
     pub layers: Vec<Arc<Layer>>,
+}
+
+/// The light of one light, or of a group, at reference strengths.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Layer {
+    /// Unique among the layers of a map: the name of its light or group.
+    pub name: String,
+    /// Its lights.
+    pub lights: Vec<LayerLight>,
+    /// Straight from its lights, irradiance / π per slot.
+    pub direct: Vec<Vec3>,
+    /// After at least one bounce.
+    pub indirect: Vec<Vec3>,
+    /// Estimated variance of what the world states the error of ([`crate::Stated`]), mean over RGB.
+    pub variance: Vec<f32>,
+}
+
+/// A light of a layer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LayerLight {
+    /// Name of the light.
+    pub name: String,
+    /// Strength (color × intensity) that the layer holds its light at.
+    pub reference: Vec3,
 }
 
 impl LightMap {

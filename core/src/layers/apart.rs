@@ -222,10 +222,10 @@ mod tests {
 
     use super::*;
     use crate::edit::Edit;
+    use crate::estimate::Estimate;
     use crate::random::Pcg32;
-    use crate::rounds::Estimate;
     use crate::scene::{Material, Mesh, Object, Scene};
-    use crate::transport::Layered;
+    use crate::value::Layered;
     use crate::world::{Stated, World, WorldOptions};
 
     fn cube(name: &str) -> Object {

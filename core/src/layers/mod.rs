@@ -11,7 +11,6 @@ mod regroup;
 mod stack;
 #[cfg(test)]
 mod tests;
-mod update;
 
 use std::sync::Arc;
 
@@ -23,43 +22,14 @@ use crate::scene::Scene;
 use crate::transport::black;
 use crate::world::{Emitters, World};
 
+pub use crate::lightmap::{Layer, LayerLight, MAX_GROUPS, MAX_LAYERS};
 pub(crate) use apart::{Apart, Computed, Old};
-pub(crate) use plan::{Header, groups_of, headers_of_layers};
+pub(crate) use plan::{Header, Plan, groups_of, headers_of_layers, moved_layers, wants_layers};
+pub(crate) use regroup::{Pieces, renamed};
 pub(crate) use stack::{Stack, weights_within};
-pub(crate) use update::{moved_layers, update_layers, with_layers};
-
-/// A map has at most so many layers. Where more lights are relit one by one, those that are left share a layer.
-pub const MAX_LAYERS: usize = 16;
-
-/// So many groups of lights have layers of their own: the lights in none need one, too.
-pub const MAX_GROUPS: usize = MAX_LAYERS - 1;
 
 /// Name of the layer of the lights that share one by default.
 pub const SHARED_LAYER: &str = "shared";
-
-/// The light of one light, or of a group, at reference strengths.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Layer {
-    /// Unique among the layers of a map: the name of its light or group.
-    pub name: String,
-    /// Its lights.
-    pub lights: Vec<LayerLight>,
-    /// Straight from its lights, irradiance / π per slot.
-    pub direct: Vec<Vec3>,
-    /// After at least one bounce.
-    pub indirect: Vec<Vec3>,
-    /// Estimated variance of what the world states the error of ([`crate::Stated`]), mean over RGB.
-    pub variance: Vec<f32>,
-}
-
-/// A light of a layer.
-#[derive(Clone, Debug, PartialEq)]
-pub struct LayerLight {
-    /// Name of the light.
-    pub name: String,
-    /// Strength (color × intensity) that the layer holds its light at.
-    pub reference: Vec3,
-}
 
 /// Relative difference up to which two strengths count as the same: a few units in the last place of `f32`.
 const SAME_STRENGTH: f32 = 1e-6;

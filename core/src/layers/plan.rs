@@ -7,6 +7,7 @@ use glam::Vec3;
 use super::{LayerLight, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER, strength_of, weight_of};
 use crate::lightmap::LightMap;
 use crate::scene::Scene;
+use crate::world::Transition;
 
 /// A layer without its values.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -17,14 +18,14 @@ pub(crate) struct Header {
 
 impl Header {
     /// Whether none of its lights was there, at that place, before.
-    pub(super) fn is_new(&self, before: &Scene, after: &Scene) -> bool {
+    pub(crate) fn is_new(&self, before: &Scene, after: &Scene) -> bool {
         self.lights.iter().all(|light| kind_of(before, &light.name) != kind_of(after, &light.name))
     }
 }
 
 /// What a layer is put together from.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Piece {
+pub(crate) enum Piece {
     /// A layer of the old map, by position.
     Old(usize),
     /// Light of lights that leave their layer, by position in [`Plan::leaving`].
@@ -33,14 +34,14 @@ pub(super) enum Piece {
 
 /// A layer and its pieces, each with its factor.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Planned {
+pub(crate) struct Planned {
     pub header: Header,
     pub pieces: Vec<(Piece, Vec3)>,
 }
 
 /// From the layers of a map to those after an edit.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Plan {
+pub(crate) struct Plan {
     /// Lights whose own light has to be computed in the old scene, because they leave a layer that others stay in.
     pub leaving: Vec<Header>,
     /// The old light in its new layers. Those whose lights are all gone come without a place in the new map.
@@ -97,7 +98,7 @@ fn at_unit(header: &mut Header) {
 }
 
 /// Whether an edit asks for layers, or the map has some.
-pub(super) fn wants_layers(before: &Scene, after: &Scene, map: &LightMap) -> bool {
+pub(crate) fn wants_layers(before: &Scene, after: &Scene, map: &LightMap) -> bool {
     let relit = |light: &crate::scene::Light| strength_of(before, &light.name).is_some_and(|s| s != light.strength());
     !map.layers.is_empty() || !after.groups.is_empty() || after.lights.iter().any(relit)
 }
@@ -111,7 +112,7 @@ enum Target {
 }
 
 impl Plan {
-    pub(super) fn new(before: &Scene, after: &Scene, map: &LightMap) -> Plan {
+    pub(crate) fn new(before: &Scene, after: &Scene, map: &LightMap) -> Plan {
         let mut plan = Plan::default();
         let old = headers_of(map, before);
         let mut places = Places::new(&old);
@@ -248,6 +249,23 @@ impl Plan {
         self.after.push((header, None));
         None
     }
+}
+
+/// Positions of the layers of a map whose lights all move, where an edit does nothing else, with their headers after it.
+pub(crate) fn moved_layers(transition: &Transition, map: &LightMap) -> Option<Vec<(usize, Header)>> {
+    if map.layers.is_empty() || transition.changes_surfaces() {
+        return None;
+    }
+    let (before, after) = (&transition.before.scene, &transition.after.scene);
+    let plan = Plan::new(before, after, map);
+    let stays = |(k, (header, origin)): (usize, &(Header, Option<usize>))| {
+        *origin == Some(k) && header.name == map.layers[k].name && header.lights == map.layers[k].lights
+    };
+    let same_layers =
+        plan.leaving.is_empty() && plan.after.len() == map.layers.len() && plan.after.iter().enumerate().all(stays);
+    let only_moves = plan.changed.iter().all(|&k| plan.after[k].0.is_new(before, after));
+    let header = |&k: &usize| (k, plan.after[k].0.clone());
+    (same_layers && only_moves && !plan.changed.is_empty()).then(|| plan.changed.iter().map(header).collect())
 }
 
 impl Planned {

@@ -10,7 +10,7 @@ use crate::lightmap::LightMap;
 
 /// What the layers of a plan are put together from.
 #[derive(Clone, Copy)]
-pub(super) struct Pieces<'a> {
+pub(crate) struct Pieces<'a> {
     pub plan: &'a Plan,
     /// The old map.
     pub map: &'a LightMap,
@@ -20,7 +20,7 @@ pub(super) struct Pieces<'a> {
 
 impl Pieces<'_> {
     /// The old light in its new layers.
-    pub(super) fn regroup(&self) -> Vec<Arc<Layer>> {
+    pub(crate) fn regroup(&self) -> Vec<Arc<Layer>> {
         self.plan.regrouped.iter().map(|planned| self.assemble(planned)).collect()
     }
 
@@ -50,7 +50,7 @@ impl Pieces<'_> {
 
     /// Variance of the new map, whose layers have these weights: light that leaves one layer for another is in both, with
     /// opposite signs, so that only what it weighs in all counts.
-    pub(super) fn variance(&self, weights: &[Vec3], correlation: f64) -> Vec<f32> {
+    pub(crate) fn variance(&self, weights: &[Vec3], correlation: f64) -> Vec<f32> {
         let mut old = vec![Vec3::ZERO; self.map.layers.len().max(1)];
         let mut new = vec![Vec3::ZERO; self.leaving.len()];
         for ((_, origin), weight) in self.plan.after.iter().zip(weights) {
@@ -76,7 +76,7 @@ impl Pieces<'_> {
 
 impl Layer {
     /// No light in `len` slots.
-    pub(super) fn black(len: usize) -> Layer {
+    pub(crate) fn black(len: usize) -> Layer {
         let (direct, indirect) = (vec![Vec3::ZERO; len], vec![Vec3::ZERO; len]);
         Layer { direct, indirect, variance: vec![0.0; len], ..Layer::default() }
     }
@@ -90,7 +90,7 @@ impl Layer {
 }
 
 /// A layer under another header.
-pub(super) fn renamed(layer: &Arc<Layer>, header: &Header) -> Arc<Layer> {
+pub(crate) fn renamed(layer: &Arc<Layer>, header: &Header) -> Arc<Layer> {
     if layer.name == header.name && layer.lights == header.lights {
         return layer.clone();
     }

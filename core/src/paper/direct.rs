@@ -6,9 +6,8 @@ use super::scenes::ObjectScene;
 use crate::bvh::Ray;
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
-use crate::transport::direct::visible_weight;
 use crate::transport::{DirectLight, Work};
-use crate::world::Emitter;
+use crate::world::{Emitter, visible_weight};
 
 impl ObjectScene<'_> {
     /// Change of direct light (irradiance / π) that the object makes at all elements of S. The background, which has

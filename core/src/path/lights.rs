@@ -13,8 +13,7 @@ use crate::bvh::{Hit, Ray};
 use crate::random::{Pcg32, R2};
 use crate::scene::LightKind;
 use crate::transport::DirectLight;
-use crate::transport::direct::visible_weight;
-use crate::world::{Emitter, Placed, Shape, World};
+use crate::world::{Emitter, Placed, Shape, World, visible_weight};
 
 const NONE: u32 = u32::MAX;
 

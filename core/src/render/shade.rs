@@ -9,9 +9,9 @@ use crate::lightmap::LightMap;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
 use crate::scene::LightKind;
-use crate::transport::direct::{one_light, visible_weight};
+use crate::transport::direct::one_light;
 use crate::transport::{Field, Rough, Surfel};
-use crate::world::World;
+use crate::world::{World, visible_weight};
 
 /// Backs that a camera ray passes through at most.
 const MAX_BACKS: u32 = 64;

@@ -7,7 +7,7 @@ use crate::bvh::Ray;
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
-use crate::world::{Emitter, Trees, World};
+use crate::world::{Emitter, World, visible_weight};
 
 /// How many samples each light gets, for a nominal number per element.
 #[derive(Clone, Debug)]
@@ -73,22 +73,6 @@ impl DirectLight {
         }
         sum
     }
-}
-
-/// Weight of one sample of an emitter, zero where it is hidden.
-#[inline]
-pub(crate) fn visible_weight(
-    emitter: &Emitter,
-    trees: &Trees,
-    point: Vec3,
-    n: Vec3,
-    u: [f32; 2],
-    rays: &mut u64,
-) -> f32 {
-    let Some(sample) = emitter.sample(point, n, u) else { return 0.0 };
-    *rays += 1;
-    let end = sample.end(point);
-    if trees.visible(point, sample.direction, sample.distance, end) { sample.weight } else { 0.0 }
 }
 
 /// One sample of one light, for a vertex of a path. Environment light is the path's own.

@@ -10,7 +10,6 @@ mod hint;
 mod incoming;
 mod spots;
 mod surfel;
-mod value;
 mod walk;
 mod work;
 
@@ -21,6 +20,7 @@ pub(crate) use hint::Hint;
 pub(crate) use incoming::{Radiance, Source};
 pub(crate) use spots::{Spots, Target};
 pub(crate) use surfel::Surfel;
-pub(crate) use value::{Layered, Value, Wide};
 pub(crate) use walk::{End, Field, Rough, walk};
 pub(crate) use work::{Work, black, blacken, for_slots};
+
+pub(crate) use crate::value::{Value, Wide};

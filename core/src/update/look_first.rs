@@ -8,10 +8,11 @@ use std::sync::Arc;
 use super::extent::Extent;
 use super::updater::{Extents, Updater};
 use crate::accumulate::Accumulator;
+use crate::estimate::Estimate;
 use crate::focus::Focus;
 use crate::job::Canceled;
 use crate::random::subseed;
-use crate::rounds::{Estimate, First, Goal, Phase, Round, Rounds};
+use crate::rounds::{First, Goal, Phase, Round, Rounds};
 use crate::solve::Rows;
 use crate::transport::{Value, Work};
 

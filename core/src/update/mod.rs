@@ -12,6 +12,7 @@ mod allotment;
 mod buffers;
 mod direct;
 mod extent;
+mod layers;
 mod look_first;
 mod new_rows;
 mod places;
@@ -25,16 +26,18 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
+use self::layers::update_layers;
 use self::updater::Updater;
 use crate::accumulate::Accumulator;
 use crate::bake::Baker;
+use crate::estimate::Estimate;
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer};
-use crate::layers::{Apart, Old, update_layers};
+use crate::layers::{Apart, Old};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
 use crate::refine::refine_with;
-use crate::rounds::{Estimate, Goal, Phase, Round, Rounds};
+use crate::rounds::{Goal, Phase, Round, Rounds};
 use crate::transport::{Value, Work};
 use crate::world::Transition;
 

@@ -7,9 +7,10 @@ use rayon::prelude::*;
 
 use super::allotment::{ALBEDO, Allotment};
 use super::updater::{CHUNK, Updater};
+use crate::estimate::Estimate;
 use crate::job::{Canceled, Pass};
 use crate::random::{Pcg32, subseed};
-use crate::rounds::{Estimate, Round};
+use crate::rounds::Round;
 use crate::solve::{Exchange, Paths, Rows};
 use crate::space::Patch;
 use crate::transport::{Effort, Radiance, Source, Spots, Surfel, Value, gather};

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 
 use glam::Vec3;
 
+use super::emitters::visible_weight;
 use super::{Placed, World};
 use crate::bvh::Ray;
 use crate::random::Pcg32;
 use crate::sampling::cosine_hemisphere;
-use crate::transport::direct::visible_weight;
 
 /// First a few rays; elements that meet a back are asked again with all.
 const FIRST_RAYS: u32 = 6;

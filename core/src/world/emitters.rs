@@ -4,11 +4,12 @@ use std::f32::consts::FRAC_1_PI;
 
 use glam::Vec3;
 
+use super::Trees;
 use crate::bvh::{Hit, Ray};
 use crate::sampling::{Discrete, SphericalTriangle, uniform_barycentrics};
 use crate::scene::{Light, LightKind};
 use crate::space::ray_offset;
-use crate::transport::Value;
+use crate::value::Value;
 
 /// Emitters of at most so many triangles are sampled by the solid angle of all of them from near.
 const FEW: usize = 4;
@@ -391,4 +392,20 @@ impl Emitter {
             _ => false,
         }
     }
+}
+
+/// Weight of one sample of an emitter, zero where it is hidden.
+#[inline]
+pub(crate) fn visible_weight(
+    emitter: &Emitter,
+    trees: &Trees,
+    point: Vec3,
+    n: Vec3,
+    u: [f32; 2],
+    rays: &mut u64,
+) -> f32 {
+    let Some(sample) = emitter.sample(point, n, u) else { return 0.0 };
+    *rays += 1;
+    let end = sample.end(point);
+    if trees.visible(point, sample.direction, sample.distance, end) { sample.weight } else { 0.0 }
 }

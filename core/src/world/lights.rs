@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use super::apply::Draft;
 use super::check::{check_strength, error, invalid};
 use crate::edit::{EditError, EditErrorKind, Relight};
-use crate::layers::MAX_GROUPS;
+use crate::lightmap::MAX_GROUPS;
 
 impl Draft {
     pub(super) fn relight(&mut self, relight: &Relight) -> Result<(), EditError> {

@@ -8,8 +8,7 @@ use rayon::prelude::*;
 
 use super::{Placed, Trees, World, build};
 use crate::bvh::Bvh;
-use crate::layers::Layer;
-use crate::lightmap::LightMap;
+use crate::lightmap::{Layer, LightMap};
 use crate::space::{NO_OBJECT, Part};
 
 /// Slots per task.

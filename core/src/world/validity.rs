@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::buried::{depth_towards, is_inside};
 use super::sight::overlap;
 use super::{Placed, Trees, World};
-use crate::transport::Value;
+use crate::value::Value;
 
 /// Which elements cannot be computed, and where their values come from.
 #[derive(Clone, Debug, Default)]

@@ -271,3 +271,17 @@ impl<const K: usize> Sum for Layered<K> {
         values.fold(Layered::default(), |a, b| a + b)
     }
 }
+
+/// Calls a function generic over the number of layers for the least number that holds `$layers`.
+macro_rules! with_layers {
+    ($layers:expr, $function:ident($($argument:expr),* $(,)?)) => {
+        match $layers {
+            0 | 1 => $function::<glam::Vec3>($($argument),*),
+            2 => $function::<$crate::value::Layered<2>>($($argument),*),
+            3 | 4 => $function::<$crate::value::Layered<4>>($($argument),*),
+            5..=8 => $function::<$crate::value::Layered<8>>($($argument),*),
+            _ => $function::<$crate::value::Layered<16>>($($argument),*),
+        }
+    };
+}
+pub(crate) use with_layers;

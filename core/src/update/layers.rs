@@ -7,32 +7,20 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::plan::{Header, Plan, wants_layers};
-use super::regroup::{Pieces, renamed};
-use super::{Apart, Computed, Layer, Old, correlation, weights_of, weights_within, whole, whole_with};
+use super::{Stage, Updated, run_stage};
 use crate::bake::bake_layers;
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer, Pass, Progress};
+use crate::layers::{
+    Apart, Computed, Header, Layer, Old, Pieces, Plan, correlation, renamed, wants_layers, weights_of, weights_within,
+    whole, whole_with,
+};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
 use crate::rounds::Goal;
 use crate::transport::{Value, Work};
-use crate::update::{Stage, Updated, run_stage};
+use crate::value::with_layers;
 use crate::world::{Transition, World};
-
-/// Calls a function generic over the number of layers for the least number that holds `$layers`.
-macro_rules! with_layers {
-    ($layers:expr, $function:ident($($argument:expr),* $(,)?)) => {
-        match $layers {
-            0 | 1 => $function::<glam::Vec3>($($argument),*),
-            2 => $function::<$crate::transport::Layered<2>>($($argument),*),
-            3 | 4 => $function::<$crate::transport::Layered<4>>($($argument),*),
-            5..=8 => $function::<$crate::transport::Layered<8>>($($argument),*),
-            _ => $function::<$crate::transport::Layered<16>>($($argument),*),
-        }
-    };
-}
-pub(crate) use with_layers;
 
 /// Brings a map with layers up to date, or gives a map layers; none where the edit has no need of any.
 pub(crate) fn update_layers(
@@ -50,23 +38,6 @@ pub(crate) fn update_layers(
     let weights = weights_of(&headers, after);
     let correlation = correlation(map, &map.layer_weights(before));
     Some(Update { transition, map, goal, work, plan, weights, correlation }.run())
-}
-
-/// Positions of the layers of a map whose lights all move, where an edit does nothing else, with their headers after it.
-pub(crate) fn moved_layers(transition: &Transition, map: &LightMap) -> Option<Vec<(usize, Header)>> {
-    if map.layers.is_empty() || transition.changes_surfaces() {
-        return None;
-    }
-    let (before, after) = (&transition.before.scene, &transition.after.scene);
-    let plan = Plan::new(before, after, map);
-    let stays = |(k, (header, origin)): (usize, &(Header, Option<usize>))| {
-        *origin == Some(k) && header.name == map.layers[k].name && header.lights == map.layers[k].lights
-    };
-    let same_layers =
-        plan.leaving.is_empty() && plan.after.len() == map.layers.len() && plan.after.iter().enumerate().all(stays);
-    let only_moves = plan.changed.iter().all(|&k| plan.after[k].0.is_new(before, after));
-    let header = |&k: &usize| (k, plan.after[k].0.clone());
-    (same_layers && only_moves && !plan.changed.is_empty()).then(|| plan.changed.iter().map(header).collect())
 }
 
 /// Samples per element, at most, of a stage before the last.
