@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 
-use super::glb::{Glb, crate_asset, pack, room};
+use super::glb::{crate_asset, pack, room};
 use super::server::{Answer, Server, patiently};
 
 #[tokio::test]
