@@ -324,6 +324,7 @@ mod tests {
         let scene = Scene::from_objects(vec![Object::new("plate", plate, Material::diffuse(Vec3::splat(0.5)))]);
         let glb = write_scene_glb(&scene).unwrap();
         let disk = Disk::open(directory.path(), Faults::default(), 2).unwrap();
+        disk.load("test").unwrap();
         for number in 1..=3 {
             let record = SceneRecord {
                 name: "a".to_owned(),
