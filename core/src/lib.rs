@@ -1,6 +1,6 @@
 //! The engine of rebake: scenes, trees, light transport, bakes and updates of light maps.
 //!
-//! A plain synchronous library: it knows no HTTP, no async, no serde, no clock and no global state. The same inputs
+//! A plain synchronous library: it knows no HTTP, no async, no clock and no global state. The same inputs
 //! and seed give the same bits on any number of threads.
 
 mod accumulate;
