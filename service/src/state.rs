@@ -40,6 +40,9 @@ pub(crate) enum Phase {
     Closing,
 }
 
+/// A data directory with what it holds, where there is one.
+pub(crate) type ToRestore = Option<(Arc<Disk>, Saved)>;
+
 /// The service's state.
 pub(crate) struct App {
     pub(crate) config: Config,
@@ -64,7 +67,7 @@ pub(crate) struct App {
 
 impl App {
     /// The state, and what the data directory holds, to be restored.
-    pub(crate) fn new(config: Config) -> Result<(Arc<App>, Option<(Arc<Disk>, Saved)>), StartError> {
+    pub(crate) fn new(config: Config) -> Result<(Arc<App>, ToRestore), StartError> {
         let Some(directory) = &config.data_dir else {
             return Ok((App::with_store(config, Ids::new(), Arc::new(InMemory), 0)?, None));
         };
