@@ -17,7 +17,7 @@ pub(crate) fn simplify(edits: impl IntoIterator<Item = Edit>) -> Vec<Edit> {
     if edits.len() <= MAX_EDITS {
         for later in 1..edits.len() {
             let (before, rest) = edits.split_at_mut(later);
-            rest[0] = rest[0].take().and_then(|edit| absorb(before, edit));
+            rest[0] = rest[0].take().and_then(|edit| absorb(before, &edit));
         }
     }
     edits.into_iter().flatten().collect()
@@ -38,7 +38,7 @@ pub(crate) fn dragged_by(edits: &[Edit]) -> Vec<String> {
 }
 
 /// Takes out what an edit makes superfluous before it, and answers what is left of the edit itself.
-fn absorb(before: &mut [Option<Edit>], edit: Edit) -> Option<Edit> {
+fn absorb(before: &mut [Option<Edit>], edit: &Edit) -> Option<Edit> {
     let mut left = edit.clone();
     let effects = edit.effects();
     if let [Effect::Sets(thing, property)] = effects[..]
