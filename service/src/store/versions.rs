@@ -90,7 +90,7 @@ pub(crate) struct Published {
     /// Stated error: area-weighted RMSE, where it is known. Light that was carried over keeps the old one.
     pub(crate) estimated_rmse: Option<f32>,
     mode: Mode,
-    /// What is delivered in the scene's mode: nowhere negative.
+    /// What is delivered in the scene's mode.
     delivered: Vec<Vec3>,
     /// The layers of the map, in its order.
     pub(crate) layers: Vec<PublishedLayer>,
@@ -263,15 +263,25 @@ impl Published {
     }
 }
 
-/// A part of the light as it is delivered: nowhere negative.
+/// A part of the light as it is delivered: nowhere negative, and direct + indirect = full. A map with layers is their sum, and
+/// keeps its noise as they do.
 fn delivered(world: &World, map: &LightMap, part: Part) -> Vec<Vec3> {
-    let mut values = match part {
-        Part::Full => (0..map.len()).map(|slot| map.total(slot)).collect(),
-        Part::Direct => map.direct.clone(),
-        Part::Indirect => map.indirect.clone(),
+    let positive = |values: &[Vec3]| {
+        let mut values = values.to_vec();
+        if map.layers.is_empty() {
+            world.without_negative(&mut values);
+        }
+        values
     };
-    world.without_negative(&mut values);
-    values
+    match part {
+        Part::Direct => positive(&map.direct),
+        Part::Indirect => positive(&map.indirect),
+        Part::Full => {
+            let mut sum = positive(&map.direct);
+            sum.iter_mut().zip(positive(&map.indirect)).for_each(|(sum, indirect)| *sum += indirect);
+            sum
+        }
+    }
 }
 
 #[cfg(test)]
