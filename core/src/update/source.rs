@@ -198,10 +198,12 @@ fn closest(tree: Option<&Bvh>, ray: &Ray, rays: &mut u64) -> Option<Hit> {
     })
 }
 
-/// Reflected radiance of a hit in one of the worlds.
+/// Reflected radiance of a hit in one of the worlds. Where no element there is a place of its own, such as below what is
+/// taken away, it is what they have of their neighbours: their own light counts by how it differs from that.
 fn look<V: Value>(world: &World, ray: &Ray, hit: Option<&Hit>, map: &[V], rays: &mut u64) -> V {
     let Some(surfel) = hit.and_then(|h| Surfel::to_look_up(world, ray, h, rays)) else { return V::default() };
-    surfel.footprint.map_or(V::default(), |footprint| footprint.interpolate(map) * surfel.albedo)
+    let footprint = surfel.footprint.or_else(|| Surfel::new(world, ray, hit?)?.footprint);
+    footprint.map_or(V::default(), |footprint| footprint.interpolate(map) * surfel.albedo)
 }
 
 #[cfg(test)]
