@@ -72,6 +72,15 @@ impl World {
         if !placed.surface.closed || placed.surface.volume <= 0.0 {
             return false;
         }
+        if self.encloses_most(placed) {
+            return false;
+        }
+        // A lamp inside: its light has to come out through backs that reflect.
+        !self.has_lamp_inside(placed)
+    }
+
+    /// Whether most other elements are within an object's box.
+    fn encloses_most(&self, placed: &Placed) -> bool {
         let bounds = placed.surface.bounds();
         let inside = |p: glam::Vec3| p.cmpge(bounds.0).all() && p.cmple(bounds.1).all();
         let own = placed.placement.elements.clone();
@@ -86,16 +95,18 @@ impl World {
                 .count()
                 * (self.slots() / 2048).max(1)
         };
-        if 2 * enclosed > others {
-            return false;
-        }
-        // A lamp inside: its light has to come out through backs that reflect.
-        !self.has_lamp_inside(placed)
+        2 * enclosed > others
     }
 
-    /// Whether there may be light behind an object's surface: outside of what is closed there is, inside with a lamp.
+    /// Whether there may be light behind an object's surface. Inside of what is closed there is with a lamp; behind a
+    /// closed surface that faces in, as flipped furniture does, is the scene, unless that is within it.
     fn may_light_be_behind(&self, placed: &Placed) -> bool {
-        !placed.surface.closed || placed.surface.volume > 0.0 && self.has_lamp_inside(placed)
+        let surface = &placed.surface;
+        match surface.volume > 0.0 {
+            _ if !surface.closed => true,
+            true => self.has_lamp_inside(placed),
+            false => !self.encloses_most(placed),
+        }
     }
 
     /// Whether a lamp that is not the object itself is inside its closed surface.
