@@ -18,7 +18,7 @@ pub(crate) struct Accumulator<V> {
     stated: Stated,
     /// Σ n |light − mean|² of the whole, mean over RGB.
     squares: Vec<f32>,
-    /// The same per layer, layers of a slot side by side; empty for one.
+    /// Σ n |light − mean|² per layer, mean over RGB, layers of a slot side by side; empty for one layer.
     layer_squares: Vec<f32>,
     /// Variance of the mean, of the whole and per layer, while there is one round alone.
     guess: Option<(Vec<f32>, Vec<f32>)>,
@@ -26,7 +26,7 @@ pub(crate) struct Accumulator<V> {
     rounds: u32,
     /// Σ over slots of the variance of the mean, as the last round and the mean of those before it tell it.
     by_last: f64,
-    /// The same, as the scatter of all rounds tells it.
+    /// Σ over slots of the variance of the mean, as the scatter of all rounds tells it.
     by_all: f64,
 }
 
@@ -129,7 +129,7 @@ impl<V: Value> Accumulator<V> {
         Scatter { whole: &self.squares, layers, count: self.weights.len(), factor }
     }
 
-    /// The same of the whole, per slot.
+    /// Variance of the mean of all layers together, mean over RGB, per slot.
     pub(crate) fn variance(&self) -> Vec<f32> {
         let scatter = self.scatter();
         (0..self.squares.len()).into_par_iter().with_min_len(CHUNK).map(|slot| scatter.of_whole(slot)).collect()

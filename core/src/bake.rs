@@ -188,7 +188,7 @@ impl<'a> Baker<'a> {
         self.round_at(round, &self.slots, out)
     }
 
-    /// The same, with indirect light gathered in some slots only; elsewhere it is that of the solution on the subset.
+    /// One independent estimate of direct and indirect light, with indirect light gathered in some slots only; elsewhere it is that of the solution on the subset.
     fn round_at<V: Value>(&self, round: &Round<V>, wanted: &[u32], out: &mut Estimate<V>) -> Result<(), Canceled> {
         let (world, work) = (self.world, self.work);
         out.blacken(world.slots());

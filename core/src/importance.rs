@@ -43,7 +43,7 @@ pub enum TileMode {
     Global,
     /// One tile after the other, each to tile quality; then the rest of the map to the same, and no further.
     Incremental,
-    /// The same, and then the whole map until the budget ends.
+    /// One tile after the other, each to tile quality; then the whole map until the budget ends.
     Continuous,
 }
 

@@ -19,7 +19,7 @@ pub struct LightMap {
     pub indirect: Vec<Vec3>,
     /// Estimated variance of what the world states the error of ([`crate::Stated`]), mean over RGB.
     pub variance: Vec<f32>,
-    /// The same light by the lights it stems from; empty until somebody relights a light or groups lights.
+    /// Direct and indirect light by the lights it stems from; empty until somebody relights a light or groups lights.
     pub layers: Vec<Arc<Layer>>,
 }
 

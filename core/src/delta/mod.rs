@@ -174,7 +174,7 @@ impl Frame {
         frame
     }
 
-    /// The same frame with its values rounded to `f16`, to be sent at half the size. Finite values beyond the range of
+    /// This frame with its values rounded to `f16`, to be sent at half the size. Finite values beyond the range of
     /// `f16` become its largest.
     #[must_use]
     pub fn halved(mut self) -> Frame {

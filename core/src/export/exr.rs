@@ -26,7 +26,7 @@ const MAX_SIDE: usize = 1 << 24;
 /// Pixel `(x, y)` is element `y · width + x`; the last row is padded with zeros. A layer called `direct` has the
 /// channels `direct.R`, `direct.G`, `direct.B`; one without a name has `R`, `G`, `B`. `attributes` are name and
 /// text, stored in the header beside `elements` (the number of elements) and `layout` (these two sentences).
-/// The same input gives the same bytes.
+/// Equal input gives equal bytes.
 ///
 /// # Errors
 /// [`ExportError`]: no layers, no elements or layers that differ in length; names that are taken or not possible;

@@ -61,7 +61,7 @@ impl<'a> Old<'a> {
         (0..slots).into_par_iter().with_min_len(CHUNK).map(total).collect()
     }
 
-    /// The same apart, with variances, in the slots of the world after it: zero where no value stays.
+    /// Direct light, indirect light and variances of every layer, side by side per slot, in the slots of the world after it: zero where no value stays.
     pub(crate) fn stack<V: Value>(&self) -> Stack<V> {
         let slots = || self.keeps.par_iter().enumerate().with_min_len(CHUNK);
         let light = |of: for<'p> fn(&Part<'p>) -> &'p [Vec3]| -> Vec<V> {

@@ -88,7 +88,7 @@ pub(crate) fn whole(layers: Vec<Arc<Layer>>, weights: &[Vec3], correlation: f64)
     whole_with(layers, weights, variance)
 }
 
-/// The same, where the variance is known.
+/// The map that layers make with their weights, whose variance (mean over RGB, per slot) is known.
 pub(crate) fn whole_with(layers: Vec<Arc<Layer>>, weights: &[Vec3], variance: Vec<f32>) -> LightMap {
     let len = layers.first().map_or(0, |layer| layer.direct.len());
     let sum = |part: fn(&Layer) -> &[Vec3]| -> Vec<Vec3> {

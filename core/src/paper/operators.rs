@@ -126,7 +126,7 @@ impl ObjectScene<'_> {
         surfel.albedo * (known + direct)
     }
 
-    /// The same for what a ray met off the object.
+    /// Radiance that a surface off the object reflects against the ray that met it.
     fn radiance(&self, ray: &Ray, hit: &Hit, field: &Field, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
         let sampled = field.lights == Sampled::Everywhere;
         Vertex::new(self.with, ray, hit).map_or(Vec3::ZERO, |v| self.reflected(&v, field, sampled, rng, rays))

@@ -165,7 +165,7 @@ fn degenerate_triangles_are_dropped_and_counted() {
     assert_eq!((scene.objects[0].mesh.triangles.len(), scene.degenerate_triangles), (1, 1));
 }
 
-/// The same mesh shown twice, and two primitives over one vertex list, are each stored once.
+/// A mesh shown twice, and two primitives over one vertex list, are each stored once.
 #[test]
 fn shared_data_is_shared() {
     let primitive = "{\"attributes\": {\"POSITION\": 0, \"NORMAL\": 1}, \"indices\": 2, \"material\": 0, \"mode\": 4}";
