@@ -6,6 +6,7 @@
 mod accumulate;
 mod ambient;
 mod bake;
+mod bits;
 pub mod bvh;
 pub mod delta;
 mod drag;

@@ -55,7 +55,7 @@ pub(crate) trait Value:
 
 /// Double-precision numbers per layer and channel.
 pub(crate) trait Wide: Copy + Debug + Send + Sync {
-    /// The same for all layers.
+    /// A number per channel, the same for all layers.
     fn splat(value: DVec3) -> Self;
 
     /// Applies `f` layer by layer.

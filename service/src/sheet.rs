@@ -56,7 +56,7 @@ impl Cell {
         Cell { caption: String::new(), panel: None, scale: None }
     }
 
-    /// The same with a bar of colours.
+    /// This place with a bar of colours.
     pub fn with_scale(self, palette: Palette, scale: f32) -> Cell {
         Cell { scale: Some((palette, scale)), ..self }
     }

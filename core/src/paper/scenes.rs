@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use crate::bvh::{BuildQuality, Bvh, TriangleMask};
+use crate::bvh::{BuildQuality, Bvh};
 use crate::world::{Placed, Transition, Trees, Validity, World};
 
 /// Keys of objects.
@@ -35,7 +35,7 @@ impl<'a> ObjectScene<'a> {
     /// Takes the objects `keys` of `with` as O.
     pub(super) fn new(with: &'a World, keys: &Keys) -> ObjectScene<'a> {
         let (mut corners, mut ids) = (Vec::new(), Vec::new());
-        let mut mask = with.trees.gone.as_deref().cloned().unwrap_or_else(|| TriangleMask::new(0));
+        let mut mask = with.trees.gone.as_deref().cloned().unwrap_or_default();
         for placed in with.placed.iter().filter(|p| keys.contains(&p.key)) {
             corners.extend(placed.surface.all_corners());
             ids.extend(placed.placement.faces.clone());

@@ -74,7 +74,7 @@ impl Mesh {
         }
     }
 
-    /// The same surface seen from the other side: a box becomes a room.
+    /// This surface seen from the other side: a box becomes a room.
     #[must_use]
     pub fn inside_out(mut self) -> Self {
         self.triangles.iter_mut().for_each(|triangle| triangle.swap(1, 2));
@@ -133,7 +133,7 @@ impl Object {
         }
     }
 
-    /// The same object elsewhere.
+    /// This object elsewhere.
     #[must_use]
     pub fn placed(self, world_from_object: DMat4) -> Self {
         Self { world_from_object, ..self }
@@ -180,7 +180,7 @@ impl Scene {
         }
     }
 
-    /// The same scene with one more light.
+    /// This scene with one more light.
     #[must_use]
     pub fn with_light(mut self, light: Light) -> Self {
         self.lights.push(light);

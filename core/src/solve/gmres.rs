@@ -169,7 +169,7 @@ fn add_scaled<V: Value>(x: &mut [V], weights: &[V::Wide], basis: &[Vec<V>]) {
     x.par_chunks_mut(size).enumerate().for_each(|(chunk, x)| add_to_chunk(x, chunk * size, &weights, basis));
 }
 
-/// The same for the elements from `first` on.
+/// `x += Σ weight v` for the elements from `first` on.
 fn add_to_chunk<V: Value>(x: &mut [V], first: usize, weights: &[V], basis: &[Vec<V>]) {
     for (weight, v) in weights.iter().zip(basis) {
         x.iter_mut().zip(&v[first..]).for_each(|(x, v)| *x += v.times(*weight));

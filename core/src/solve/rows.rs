@@ -30,7 +30,7 @@ impl Rows {
         Rows::new(members, starts, count)
     }
 
-    /// The same representatives in rows of as many as told, and so many rows that are neighbours.
+    /// These representatives in rows of so many each (`counts`), and so many of those rows to a group of neighbours.
     pub(crate) fn shared(&self, counts: impl Iterator<Item = usize>, neighbours: impl Iterator<Item = usize>) -> Rows {
         let rows = Rows::new(self.members.clone(), offsets(counts), self.row_of.len());
         Rows { neighbours: offsets(neighbours), ..rows }

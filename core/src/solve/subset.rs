@@ -44,8 +44,7 @@ impl Subset {
         let mut side_of_part = vec![0; world.space.parts().len()];
         let mut ends = Vec::new();
         for placed in &world.placed {
-            let parts = placed.placement.parts.start as usize..placed.placement.parts.end as usize;
-            side_of_part[parts].fill(ends.len() as u32);
+            side_of_part[placed.placement.part_indices()].fill(ends.len() as u32);
             ends.push((placed, false));
             if placed.with_back {
                 ends.push((placed, true));

@@ -54,7 +54,7 @@ pub(super) struct Node {
 pub(super) enum Kind {
     /// Points m, n, o on all edges: amo, mbn, onc, mno.
     Four,
-    /// The same, all of them in the middle.
+    /// Four, with m, n and o in the middle of their edges.
     Halves,
     /// A point m on one edge, of the corners turned by so many: amc, mbc.
     Two(u8),

@@ -9,7 +9,7 @@ use super::subdivide::{Subdivided, subdivide};
 use crate::order::along_curve;
 use crate::surface::{Surface, SurfaceError, barycentrics, moved_normals, moved_points, triangle_area};
 
-/// How the elements of one side of a surface are laid out. The same wherever the surface is moved.
+/// How the elements of one side of a surface are laid out; moving the surface leaves it as it is.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Layout {
     pub(super) cells: Cells,

@@ -33,6 +33,7 @@ use std::sync::Arc;
 use glam::Vec3;
 
 use self::holes::Holes;
+use crate::bits::Bits;
 use crate::bvh::Hit;
 use crate::surface::Surface;
 
@@ -42,8 +43,8 @@ pub(crate) struct Space {
     slots: Arc<Slots>,
     faces: Arc<Faces>,
     parts: Arc<Parts>,
-    /// Cells that a wall stands on, a bit per id; empty where there is none.
-    cuts: Arc<Vec<u64>>,
+    /// Cells that a wall stands on, by id.
+    cuts: Arc<Bits>,
 }
 
 /// Per triangle slot: index of its part.
@@ -108,14 +109,13 @@ impl Space {
     /// Frees what an object has.
     pub(crate) fn clear(&mut self, placement: &Placement) {
         Arc::make_mut(&mut self.slots).clear(placement.element_indices());
-        let range = |range: &Range<u32>| range.start as usize..range.end as usize;
         let faces = Arc::make_mut(&mut self.faces);
-        faces.parts[range(&placement.faces)].fill(NO_PART);
-        faces.free.give(range(&placement.faces));
+        faces.parts[placement.face_indices()].fill(NO_PART);
+        faces.free.give(placement.face_indices());
         let parts = Arc::make_mut(&mut self.parts);
-        parts.list[range(&placement.parts)].fill(Part::free());
-        parts.free.give(range(&placement.parts));
-        parts.free_cells.give(range(&placement.cells));
+        parts.list[placement.part_indices()].fill(Part::free());
+        parts.free.give(placement.part_indices());
+        parts.free_cells.give(placement.cell_indices());
         self.set_cuts(placement.cells.clone().map(|cell| (cell, false)));
     }
 
@@ -143,12 +143,12 @@ impl Space {
 
     /// The parts of an object, one per material.
     pub(crate) fn parts_of(&self, placement: &Placement) -> &[Part] {
-        &self.parts.list[placement.parts.start as usize..placement.parts.end as usize]
+        &self.parts.list[placement.part_indices()]
     }
 
     /// The parts of an object, to be changed.
     pub(crate) fn parts_of_mut(&mut self, placement: &Placement) -> &mut [Part] {
-        &mut Arc::make_mut(&mut self.parts).list[placement.parts.start as usize..placement.parts.end as usize]
+        &mut Arc::make_mut(&mut self.parts).list[placement.part_indices()]
     }
 
     /// Index of the part of a triangle that a ray met.
@@ -191,7 +191,7 @@ impl Space {
     /// Whether a wall stands on a cell: light must not be interpolated across it.
     #[inline]
     pub(crate) fn is_cut(&self, cell: u32) -> bool {
-        self.cuts.get(cell as usize / 64).is_some_and(|bits| bits >> (cell % 64) & 1 == 1)
+        self.cuts.contains(cell as usize)
     }
 
     /// Says of some cells whether a wall stands on them.
@@ -200,14 +200,8 @@ impl Space {
         if changes.is_empty() {
             return;
         }
-        let bits = Arc::make_mut(&mut self.cuts);
-        for (cell, cut) in changes {
-            let (word, bit) = (cell as usize / 64, 1 << (cell % 64));
-            if word >= bits.len() {
-                bits.resize(word + 1, 0);
-            }
-            bits[word] = if cut { bits[word] | bit } else { bits[word] & !bit };
-        }
+        let cuts = Arc::make_mut(&mut self.cuts);
+        changes.into_iter().for_each(|(cell, cut)| cuts.set(cell as usize, cut));
     }
 
     /// Whether every slot holds the same element as in another space.
@@ -227,7 +221,7 @@ impl Space {
         self.slots.memory_bytes()
             + self.faces.parts.capacity() * size_of::<u32>()
             + self.parts.list.capacity() * size_of::<Part>()
-            + self.cuts.capacity() * size_of::<u64>()
+            + self.cuts.memory_bytes()
     }
 }
 

@@ -44,8 +44,27 @@ pub(crate) struct Placement {
 impl Placement {
     /// The element slots as indices of arrays.
     pub(crate) fn element_indices(&self) -> Range<usize> {
-        self.elements.start as usize..self.elements.end as usize
+        indices(&self.elements)
     }
+
+    /// The parts as indices of arrays.
+    pub(crate) fn part_indices(&self) -> Range<usize> {
+        indices(&self.parts)
+    }
+
+    /// The triangle slots as indices of arrays.
+    pub(super) fn face_indices(&self) -> Range<usize> {
+        indices(&self.faces)
+    }
+
+    /// Ids of cells as indices of arrays.
+    pub(super) fn cell_indices(&self) -> Range<usize> {
+        indices(&self.cells)
+    }
+}
+
+fn indices(range: &Range<u32>) -> Range<usize> {
+    range.start as usize..range.end as usize
 }
 
 /// An edit of geometry copies all arrays: on two threads.

@@ -386,7 +386,7 @@ impl Splitter {
         self.segments_of(a, b, self.spacing)
     }
 
-    /// The same of an edge across a strip. Every second one is a diagonal, a little longer than the spacing.
+    /// Number of segments of an edge across a strip. Every second one is a diagonal, a little longer than the spacing.
     fn segments_across(&self, a: u32, b: u32) -> Result<u32, SurfaceError> {
         self.segments_of(a, b, DIAGONAL * self.spacing)
     }

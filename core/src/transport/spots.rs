@@ -22,7 +22,8 @@ const BRIGHT: f64 = 8.0;
 /// Part of all squared radiance from which on spots are worth directions of their own.
 const WORTHWHILE: f64 = 0.5;
 
-/// The same of the change that an update carries on: those of furniture have .92 to .98, and there it does not pay.
+/// Part of all squared radiance, of the change that an update carries on, from which on spots are worth directions of
+/// their own: those of furniture have .92 to .98, and there it does not pay.
 const EXTREME: f64 = 0.98;
 
 /// Places per task, and per partial sum: fixed, so that sums do not depend on the number of threads.
@@ -100,7 +101,7 @@ impl Spots {
         Spots::of_most(world, light, weights, EXTREME)
     }
 
-    /// The same where bright places have at least so much of all squared light.
+    /// The spots where bright places have at least so much of all squared light; `None` elsewhere.
     fn of_most<V: Value>(world: &World, light: &[V], weights: &[Vec3], least: f64) -> Option<Spots> {
         let amount = |light: V| light.weighted(weights).abs();
         let amounts: Vec<f32> = light.par_iter().with_min_len(CHUNK).map(|l| amount(*l).element_sum()).collect();

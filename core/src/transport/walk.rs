@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use super::direct::one_light;
 use super::incoming::{Radiance, Source};
 use super::{Spots, Surfel, Value};
+use crate::bits::Bits;
 use crate::bvh::Ray;
 use crate::random::Pcg32;
 use crate::sampling::cosine_hemisphere;
@@ -110,8 +111,8 @@ pub(crate) struct Field<'a, V> {
 /// shadows and close to lamps.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Rough {
-    /// A bit per id; empty where there is none.
-    cells: Vec<u64>,
+    /// By id.
+    cells: Bits,
 }
 
 /// Difference of the direct light at a cell's corners over their mean from which on it is rough.
@@ -134,14 +135,12 @@ impl Rough {
             placed.layout.of_cells(&placed.surface, rough)
         };
         let rough: Vec<u32> = world.placed.par_iter().flat_map_iter(of_object).collect();
-        let mut cells = if rough.is_empty() { Vec::new() } else { vec![0; world.space.cells().div_ceil(64)] };
-        rough.into_iter().for_each(|cell| cells[cell as usize / 64] |= 1 << (cell % 64));
-        Rough { cells }
+        Rough { cells: rough.into_iter().map(|cell| cell as usize).collect() }
     }
 
     #[inline]
     pub(crate) fn contains(&self, cell: u32) -> bool {
-        self.cells.get(cell as usize / 64).is_some_and(|bits| bits >> (cell % 64) & 1 == 1)
+        self.cells.contains(cell as usize)
     }
 }
 

@@ -86,7 +86,7 @@ pub(crate) fn black<V: Value>(slots: usize) -> Vec<V> {
     light
 }
 
-/// The same in memory that is there.
+/// No light in so many slots, in memory that is there.
 pub(crate) fn blacken<V: Value>(light: &mut Vec<V>, slots: usize) {
     (0..slots).into_par_iter().with_min_len(LONG_CHUNK).map(|_| V::default()).collect_into_vec(light);
 }

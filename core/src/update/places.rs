@@ -16,8 +16,10 @@ pub(super) fn places(transition: &Transition, brightest: f32) -> Vec<Place> {
     let Transition { before, after, .. } = transition;
     let repaint = transition.repaint();
     for placed in &after.placed {
-        let parts = placed.placement.parts.start as usize..placed.placement.parts.end as usize;
-        let change = repaint[parts].iter().map(|change| change.abs().max_element()).fold(0.0, f32::max);
+        let change = repaint[placed.placement.part_indices()]
+            .iter()
+            .map(|change| change.abs().max_element())
+            .fold(0.0, f32::max);
         if change > 0.0 {
             places.push(place_of(placed.surface.bounds(), change * brightest));
         }

@@ -87,8 +87,7 @@ impl<V: Value> Change<'_, V> {
         let mut amounts: Vec<f32> = self.seen_by_old.par_iter().with_min_len(CHUNK).map(of_light).collect();
         let Some((repaint, light)) = self.repainted else { return amounts };
         for placed in &world.placed {
-            let parts = placed.placement.parts.start as usize..placed.placement.parts.end as usize;
-            let repaint = &repaint[parts];
+            let repaint = &repaint[placed.placement.part_indices()];
             if repaint.iter().all(|change| *change == Vec3::ZERO) {
                 continue;
             }

@@ -48,7 +48,7 @@ pub(super) struct Updater<'a, V> {
     pub(super) before_total: Vec<V>,
     /// Computed elements that keep an old value.
     pub(super) static_rows: Vec<u32>,
-    /// The same by slot.
+    /// Whether a slot is among `static_rows`.
     pub(super) is_static: Vec<bool>,
     pub(super) subset: Subset,
     pub(super) rows: Arc<Rows>,
@@ -103,7 +103,7 @@ impl<'a, V: Value> Updater<'a, V> {
         self.mean_of(|slot| values[slot])
     }
 
-    /// The same of the variance that the old map brings along.
+    /// Area-weighted mean, over the rows that keep an old value, of the variance that the old map brings along.
     pub(super) fn carried_variance(&self) -> f64 {
         self.mean_of(|slot| self.stage.old.variance(slot))
     }

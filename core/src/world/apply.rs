@@ -10,7 +10,7 @@ use super::build;
 use super::check::{check_kind, check_strength, check_transform, error, invalid, unknown};
 use super::motion::{is_rigid, move_light, transformed_light};
 use super::{Placed, Transition, Validity, World, WorldError, probe};
-use crate::bvh::{BuildQuality, Bvh, TriangleMask};
+use crate::bvh::{BuildQuality, Bvh};
 use crate::edit::{Edit, EditError, EditErrorKind, name_matches};
 use crate::scene::{Light, LightKind, Scene, merge_as_object};
 
@@ -189,7 +189,7 @@ impl Draft {
         let small = trees.small.len();
         trees.small.retain(|(key, _)| *key != placed.key);
         if trees.small.len() == small {
-            let mut mask = trees.gone.as_deref().cloned().unwrap_or_else(|| TriangleMask::new(0));
+            let mut mask = trees.gone.as_deref().cloned().unwrap_or_default();
             placed.placement.faces.clone().for_each(|id| mask.set(id, true));
             trees.gone = Some(Arc::new(mask));
         }

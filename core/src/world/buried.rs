@@ -9,6 +9,7 @@ use super::{Placed, World};
 use crate::bvh::Ray;
 use crate::random::Pcg32;
 use crate::sampling::cosine_hemisphere;
+use crate::space::Patch;
 
 /// First a few rays; elements that meet a back are asked again with all.
 const FIRST_RAYS: u32 = 6;
@@ -76,41 +77,56 @@ pub(super) fn depth_towards(world: &World, from: u32, to: u32) -> f32 {
     length * (1.0 - world.free_part(from, to))
 }
 
-/// Elements of an object, outside of solids, that see next to nothing of their cells, ascending. Only cells that something stands on count.
+/// What an element sees of the cells around it.
+#[derive(Clone, Copy, Default)]
+struct Sight {
+    cells: u32,
+    /// Sum over them of the part that it sees.
+    seen: f32,
+}
+
+impl Sight {
+    fn add(&mut self, seen: f32) {
+        self.cells += 1;
+        self.seen += seen;
+    }
+}
+
+/// Elements of an object, outside of solids, that see next to nothing of their cells, ascending.
 pub(super) fn behind_surfaces(world: &World, placed: &Placed) -> Vec<u32> {
     let behind = world.validity.behind();
     let is_outside = |slot: u32| world.is_valid(slot as usize) || behind.binary_search(&slot).is_ok();
-    let hidden_of_cell = |slots: [u32; 3]| {
-        // What a corner sees of its cell: as far as it sees along both edges.
-        let free = |a: u32, b: u32| world.free_part(a, b);
-        let [a, b, c] = slots;
-        [(a, free(a, b) * free(a, c)), (b, free(b, a) * free(b, c)), (c, free(c, a) * free(c, b))]
+    let is_cut = |patch: &Patch| world.space.is_cut(placed.placement.cells.start + patch.cell);
+    let corners = |patch: &Patch| {
+        let elements = patch.elements;
+        placed.sides().map(move |first| elements.map(|element| first + element))
     };
     let cut = placed.layout.of_cells(&placed.surface, |patch| {
-        let is_cut = world.space.is_cut(placed.placement.cells.start + patch.cell);
-        is_cut.then(|| placed.sides().flat_map(|first| hidden_of_cell(patch.elements.map(|e| first + e))).collect())
+        is_cut(patch).then(|| corners(patch).flat_map(|corners| seen_of_cell(world, corners)).collect::<Vec<_>>())
     });
-    let mut seen: BTreeMap<u32, f32> = BTreeMap::new();
-    for (slot, part) in cut.iter().flat_map(|corners: &Vec<(u32, f32)>| corners) {
-        *seen.entry(*slot).or_default() += part;
+    let mut sights: BTreeMap<u32, Sight> = BTreeMap::new();
+    for (slot, seen) in cut.into_iter().flatten().filter(|(slot, _)| is_outside(*slot)) {
+        sights.entry(slot).or_default().add(seen);
     }
-    seen.retain(|slot, _| is_outside(*slot));
-    let candidates: Vec<u32> = seen.keys().copied().collect();
-    let mut cells: BTreeMap<u32, (u32, u32)> = candidates.iter().map(|slot| (*slot, (0, 0))).collect();
-    let around = placed.layout.of_cells(&placed.surface, |patch| {
-        let is_cut = world.space.is_cut(placed.placement.cells.start + patch.cell);
-        let of_side = |first: u32| patch.elements.map(|e| first + e);
-        let touched = placed.sides().flat_map(of_side).filter(|slot| candidates.binary_search(slot).is_ok());
-        let touched: Vec<(u32, bool)> = touched.map(|slot| (slot, is_cut)).collect();
-        (!touched.is_empty()).then_some(touched)
+    if sights.is_empty() {
+        return Vec::new();
+    }
+    // Of cells that nothing stands on, all is seen.
+    let whole = placed.layout.of_cells(&placed.surface, |patch| {
+        let there = || corners(patch).flatten().filter(|slot| sights.contains_key(slot)).collect::<Vec<_>>();
+        (!is_cut(patch)).then(there).filter(|slots| !slots.is_empty())
     });
-    for (slot, is_cut) in around.into_iter().flatten() {
-        let count = cells.entry(slot).or_default();
-        *count = (count.0 + 1, count.1 + u32::from(is_cut));
+    for slot in whole.into_iter().flatten() {
+        sights.entry(slot).or_default().add(1.0);
     }
-    let share = |slot: u32| {
-        let (all, cut) = cells[&slot];
-        (seen[&slot] + (all - cut) as f32) / all as f32
-    };
-    candidates.into_iter().filter(|&slot| share(slot) < LEAST_SHARE).collect()
+    let is_behind = |sight: Sight| sight.seen < LEAST_SHARE * sight.cells as f32;
+    sights.into_iter().filter(|(_, sight)| is_behind(*sight)).map(|(slot, _)| slot).collect()
+}
+
+/// What each corner of a cell sees of it: as far as it sees along both edges.
+fn seen_of_cell(world: &World, corners: [u32; 3]) -> [(u32, f32); 3] {
+    [0, 1, 2].map(|k| {
+        let [corner, next, last] = [0, 1, 2].map(|step| corners[(k + step) % 3]);
+        (corner, world.free_part(corner, next) * world.free_part(corner, last))
+    })
 }

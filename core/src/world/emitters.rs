@@ -105,7 +105,7 @@ pub(crate) struct Emitters {
     pub choice: Option<Discrete>,
     /// Constant radiance from outside, all of it.
     pub environment: Vec3,
-    /// The same by layer.
+    /// Constant radiance from outside, by layer.
     pub skies: Vec<(u32, Vec3)>,
     /// m.
     pub scene_radius: f32,

@@ -187,11 +187,6 @@ impl World {
         self.placed.iter().map(|p| p.layout.cell_count()).sum()
     }
 
-    /// Triangles of the file that rays meet.
-    pub fn face_count(&self) -> usize {
-        self.placed.iter().map(|p| p.surface.triangles.len()).sum()
-    }
-
     /// Sample points per slot, scene space: add [`Scene::origin`] for world space.
     pub fn positions(&self) -> &[Vec3] {
         &self.space.slots().positions

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use super::buried::behind_surfaces;
 use super::{Placed, World};
+use crate::bits::Bits;
 use crate::bvh::Ray;
 use crate::space::ray_offset;
 
@@ -20,36 +21,27 @@ const ENDS: f32 = 0.02;
 /// Entries of an object's coarse weights whose representative the element does not see.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Hidden {
-    /// A bit per entry, front then back; empty where all is seen.
-    bits: Vec<u64>,
+    /// Front, then back.
+    hidden: Bits,
     entries: usize,
 }
 
 impl Hidden {
-    fn new(entries: usize, hidden: &[usize]) -> Hidden {
-        let mut bits = if hidden.is_empty() { Vec::new() } else { vec![0; (2 * entries).div_ceil(64)] };
-        hidden.iter().for_each(|&i| bits[i / 64] |= 1 << (i % 64));
-        Hidden { bits, entries }
-    }
-
     /// Bytes held.
     pub(super) fn memory_bytes(&self) -> usize {
-        self.bits.capacity() * size_of::<u64>()
+        self.hidden.memory_bytes()
     }
 
     /// Whether nothing is hidden.
     #[inline]
     pub(crate) fn is_empty(&self) -> bool {
-        self.bits.is_empty()
+        self.hidden.is_empty()
     }
 
     /// Whether an entry of the front or the back is hidden.
     #[inline]
     pub(crate) fn contains(&self, back: bool, entry: usize) -> bool {
-        !self.bits.is_empty() && {
-            let i = entry + if back { self.entries } else { 0 };
-            self.bits[i / 64] >> (i % 64) & 1 == 1
-        }
+        self.hidden.contains(entry + if back { self.entries } else { 0 })
     }
 }
 
@@ -168,7 +160,7 @@ fn hidden_entries(world: &World, placed: &Placed, touched: Touched, old: Option<
             })
         })
         .collect();
-    Hidden::new(entries, &hidden)
+    Hidden { hidden: hidden.into_iter().collect(), entries }
 }
 
 /// Cells whose corners were asked whether they see each other, and whether some do not, or are no places of their own.

@@ -85,7 +85,7 @@ impl Transition {
         if is_absent { Vec::new() } else { self.carry_each(|slot| values[slot]) }
     }
 
-    /// The same of what `value` tells of every slot of the old world.
+    /// What `value` tells of every slot of the old world, in the slots of the new world.
     pub(crate) fn carry_each<T: Default + Send>(&self, value: impl Fn(usize) -> T + Send + Sync) -> Vec<T> {
         let slots = (0..self.after.slots()).into_par_iter().with_min_len(CHUNK);
         if self.keeps_slots() {

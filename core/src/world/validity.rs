@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use super::buried::{depth_towards, is_inside};
 use super::sight::overlap;
 use super::{Placed, Trees, World};
+use crate::bits::Bits;
 use crate::value::Value;
 
 /// Which elements cannot be computed, and where their values come from.
@@ -19,8 +20,8 @@ pub(crate) struct Validity {
     invalid: Vec<u32>,
     /// Those of them that are not inside a solid, but behind a surface; ascending.
     behind: Vec<u32>,
-    /// The same, a bit per slot; empty where all are valid.
-    bits: Vec<u64>,
+    /// Invalid slots, to be asked one by one.
+    is_invalid: Bits,
     /// Slots to fill, object by object, nearest to valid ones first; each is the mean of sources filled before it.
     fills: Vec<Fill>,
     /// The part of `fills` that belongs to an object, by key.
@@ -103,9 +104,8 @@ impl Validity {
         let by_object: Vec<Vec<u32>> = world.placed.par_iter().map(|placed| inside(placed)).collect();
         let mut invalid = by_object.concat();
         invalid.sort_unstable();
-        let mut bits = if invalid.is_empty() { Vec::new() } else { vec![0; world.slots().div_ceil(64)] };
-        invalid.iter().for_each(|&slot| bits[slot as usize / 64] |= 1 << (slot % 64));
-        let mut validity = Validity { invalid, behind, bits, ..Validity::default() };
+        let is_invalid = invalid.iter().map(|&slot| slot as usize).collect();
+        let mut validity = Validity { invalid, behind, is_invalid, ..Validity::default() };
         let objects = world.placed.par_iter().zip(&by_object).filter(|(_, invalid)| !invalid.is_empty());
         let filled: Vec<(u32, Vec<Fill>)> = objects
             .map(|(placed, invalid)| {
@@ -128,7 +128,7 @@ impl Validity {
     pub(super) fn memory_bytes(&self) -> usize {
         let sources: usize = self.fills.iter().map(|fill| fill.sources.capacity()).sum();
         (self.invalid.capacity() + self.by_target.capacity() + sources) * size_of::<u32>()
-            + self.bits.capacity() * size_of::<u64>()
+            + self.is_invalid.memory_bytes()
             + self.fills.capacity() * size_of::<Fill>()
     }
 
@@ -140,7 +140,7 @@ impl Validity {
     /// Whether a slot's value is computed.
     #[inline]
     pub(crate) fn is_valid(&self, slot: usize) -> bool {
-        self.bits.get(slot / 64).is_none_or(|bits| bits >> (slot % 64) & 1 == 0)
+        !self.is_invalid.contains(slot)
     }
 
     /// One of the slots that an invalid slot takes its value from, by a uniform number; the slot itself where it is valid.
@@ -164,7 +164,7 @@ impl Validity {
         }
     }
 
-    /// The same for scalars, of which every slot has some side by side.
+    /// Gives invalid slots the means of their neighbours' scalars, of which every slot has `per_slot` side by side.
     pub(crate) fn fill_scalars(&self, values: &mut [f32], per_slot: usize) {
         for fill in &self.fills {
             for k in 0..per_slot {

@@ -53,7 +53,7 @@ impl Problem {
         Problem { kind, detail: format!("{field}: {reason}"), field: Some(field), retry_after_secs: None }
     }
 
-    /// The same, told as another kind.
+    /// This problem, told as another kind.
     pub(crate) fn with_kind(self, kind: Kind) -> Problem {
         Problem { kind, ..self }
     }

@@ -27,7 +27,7 @@ pub enum Method {
     },
     /// Update of the old map: [`rebake_core::update`].
     Rebake,
-    /// The same through the service, over loopback: [`super::run_service`].
+    /// Update of the old map through the service, over loopback: [`super::run_service`].
     Service,
 }
 

@@ -131,7 +131,7 @@ pub struct RunReport {
     /// RMSE of path tracing in the same time over this one: path tracing's error falls with the root of time.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gain: Option<f64>,
-    /// The same for equal time of the processors: what counts where other work shares them.
+    /// RMSE of path tracing in equal time of the processors over this one: what counts where other work shares them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gain_cpu: Option<f64>,
     /// RMSE of the change alone: against the truth's change added to the same old map, whose own error so drops out. For

@@ -53,7 +53,7 @@ pub trait Watcher {
         Ok(())
     }
 
-    /// The same of a study.
+    /// A case of a study is done; `report` holds all that are.
     fn study_case_done(&mut self, _report: &StudyReport) -> Result<()> {
         Ok(())
     }

@@ -100,7 +100,7 @@ fn all_paths_agree_with_brute_force() {
         let corners = soup(&mut random, count, 0.3);
         let trees = trees(&corners, quality);
         trees[0].validate().expect("a valid tree");
-        let mut mask = TriangleMask::new(0);
+        let mut mask = TriangleMask::default();
         (0..count as u32).filter(|id| id % 3 == 0).for_each(|id| mask.set(id, true));
         let mut hits = 0;
         for i in 0..1500 {

@@ -73,7 +73,7 @@ fn duplicates_are_all_there() {
     let tree = tree(&[triangle; 10_000]);
     tree.validate().expect("a valid tree");
     assert_eq!(tree.triangle_count(), 10_000);
-    let mut mask = TriangleMask::new(10_000);
+    let mut mask = TriangleMask::default();
     (0..9_999).for_each(|id| mask.set(id, true));
     let ray = ray(Vec3::ZERO, Vec3::Z);
     assert_eq!(tree.closest_hit(&ray, None).map(|hit| hit.triangle), Some(0));

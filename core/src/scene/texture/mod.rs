@@ -8,6 +8,7 @@ mod tests;
 use glam::{DVec2, Mat2, Vec2, Vec3, Vec4};
 
 use self::reduce::Level;
+use crate::bits::Bits;
 
 /// A picture with its reductions to half the size, down to a single texel.
 #[derive(Clone, PartialEq)]
@@ -67,12 +68,12 @@ pub struct TextureUse {
     pub wrap: [Wrap; 2],
 }
 
-/// One bit per texel, row by row.
+/// Which texels are there, row by row.
 #[derive(Clone, Debug, PartialEq)]
 struct Mask {
     width: u32,
     height: u32,
-    bits: Vec<u64>,
+    texels: Bits,
 }
 
 impl Texture {
@@ -100,7 +101,7 @@ impl Texture {
     /// Bytes of memory.
     pub fn bytes(&self) -> usize {
         let levels: usize = self.levels.iter().map(|level| level.texels.len() * size_of::<[u16; 4]>()).sum();
-        levels + self.mask.as_ref().map_or(0, |mask| mask.bits.len() * 8)
+        levels + self.mask.as_ref().map_or(0, |mask| mask.texels.memory_bytes())
     }
 
     /// Whether any texel is a hole, or not opaque where alpha counts.
@@ -203,16 +204,12 @@ fn texel_at(uv: DVec2, size: [u32; 2], wrap: [Wrap; 2]) -> [u32; 2] {
 
 impl Mask {
     fn new(width: u32, height: u32, texels: &[[u8; 4]], weights: &[f32; 256]) -> Self {
-        let word = |texels: &[[u8; 4]]| {
-            let bit = |(at, texel): (usize, &[u8; 4])| u64::from(weights[texel[3] as usize] > 0.0) << at;
-            texels.iter().enumerate().map(bit).fold(0, |word, bit| word | bit)
-        };
-        Self { width, height, bits: texels.chunks(64).map(word).collect() }
+        let is_there = |&at: &usize| weights[texels[at][3] as usize] > 0.0;
+        Self { width, height, texels: (0..texels.len()).filter(is_there).collect() }
     }
 
     fn is_set(&self, uv: Vec2, wrap: [Wrap; 2]) -> bool {
         let [x, y] = texel_at(uv.as_dvec2(), [self.width, self.height], wrap);
-        let at = y as usize * self.width as usize + x as usize;
-        self.bits[at / 64] >> (at % 64) & 1 == 1
+        self.texels.contains(y as usize * self.width as usize + x as usize)
     }
 }

@@ -189,7 +189,7 @@ enum MethodName {
     Paper,
     /// Update of the old light map
     Rebake,
-    /// The same through the service over loopback: bake of the scene before, POST of the edit, download
+    /// Update of the old light map through the service over loopback: bake of the scene before, POST of the edit, download
     Service,
 }
 
