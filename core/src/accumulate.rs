@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use crate::estimate::Estimate;
 use crate::scatter::scatter_of_neighbours;
-use crate::transport::Value;
+use crate::value::Value;
 use crate::world::{Stated, World};
 
 /// The mean of rounds, per slot, and how they scatter about it.

@@ -9,7 +9,8 @@ use crate::job::Canceled;
 use crate::layers::Stack;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
-use crate::transport::{Surfel, Value, Work};
+use crate::transport::{Surfel, Work};
+use crate::value::Value;
 use crate::world::World;
 
 /// Elements that rays are sent from, at most.

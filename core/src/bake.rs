@@ -18,7 +18,8 @@ use crate::random::subseed;
 use crate::rounds::{First, Goal, Phase, Round, Rounds};
 use crate::solve::{Exchange, Paths, Rows, Subset};
 use crate::transport::direct::direct_at;
-use crate::transport::{Effort, Field, Hint, Value, Work, blacken, for_slots, gathered};
+use crate::transport::{Effort, Field, Hint, Work, blacken, for_slots, gathered};
+use crate::value::Value;
 use crate::value::with_layers;
 use crate::world::World;
 
@@ -33,13 +34,19 @@ const CHUNK: usize = 4096;
 /// ([`crate::scene::Scene::groups`]) get layers of their own, along the same rays.
 pub fn bake(world: &World, budget: &Budget, seed: u64, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
     let work = Work::new(observer);
-    let goal = Goal { budget, importance: &Importance::default(), seed: subseed(seed, 0xba6e), estimates: true };
+    let goal = Goal {
+        budget,
+        importance: &Importance::default(),
+        seed: subseed(seed, 0xba6e),
+        estimates: true,
+        guesses: true,
+    };
     let map = bake_map(world, &groups_of(&world.scene), &|map| map, &goal, &work)?;
     Ok(map.unwrap_or_else(|| Arc::new(LightMap::black(world.slots()))))
 }
 
 /// Bakes a map of the layers of some headers, or without any of all light together; none where no round was run.
-/// `improve` makes what is published of what was baked so far, once its variance is known.
+/// `improve` makes what is published of what was baked so far.
 pub(crate) fn bake_map(
     world: &World,
     headers: &[Header],
@@ -100,8 +107,8 @@ fn bake_stack<V: Value>(
     };
     let stated = |map: &LightMap| Some(map.estimated_rmse(world.areas()));
     let phase = if first.is_some() { Phase::Rest } else { Phase::Whole };
-    let Goal { budget, seed, .. } = *goal;
-    let rounds = Rounds { world, weights, budget, seed, work, phase };
+    let Goal { budget, seed, guesses, .. } = *goal;
+    let rounds = Rounds { world, weights, budget, seed, work, phase, guesses };
     let round = |r: &Round<V>, out: &mut Estimate<V>| {
         baker.show_estimate(r, finish, goal)?;
         baker.round(r, out)
@@ -150,7 +157,8 @@ impl<'a> Baker<'a> {
         };
         let (budget, seed) = (&goal.first_budget(), goal.first_seed());
         let (world, weights) = (self.world, self.weights);
-        let rounds = Rounds { world, weights, budget, seed, work: self.work, phase: Phase::Part };
+        let rounds =
+            Rounds { world, weights, budget, seed, work: self.work, phase: Phase::Part, guesses: goal.guesses };
         let round = |r: &Round<V>, out: &mut Estimate<V>| {
             self.show_estimate(r, finish, goal)?;
             self.round_at(r, &seen, out)
@@ -188,7 +196,8 @@ impl<'a> Baker<'a> {
         self.round_at(round, &self.slots, out)
     }
 
-    /// One independent estimate of direct and indirect light, with indirect light gathered in some slots only; elsewhere it is that of the solution on the subset.
+    /// One independent estimate of direct and indirect light. Indirect light is gathered in some slots only; elsewhere it is
+    /// that of the solution on the subset.
     fn round_at<V: Value>(&self, round: &Round<V>, wanted: &[u32], out: &mut Estimate<V>) -> Result<(), Canceled> {
         let (world, work) = (self.world, self.work);
         out.blacken(world.slots());

@@ -2,7 +2,8 @@
 
 use rayon::prelude::*;
 
-use crate::transport::{Value, blacken};
+use crate::transport::blacken;
+use crate::value::Value;
 
 /// Slots per task.
 const CHUNK: usize = 4096;

@@ -15,6 +15,11 @@ pub(crate) fn along_curve(points: &[Vec3]) -> Vec<u32> {
     keys.into_iter().map(|(_, index)| index).collect()
 }
 
+/// Values in an order of their indices, such as [`along_curve`] tells.
+pub(crate) fn in_order<T: Copy>(values: &[T], order: &[u32]) -> Vec<T> {
+    order.iter().map(|&old| values[old as usize]).collect()
+}
+
 /// A cube around all points, cut into 2¹² cells per axis.
 struct Grid {
     low: Vec3,

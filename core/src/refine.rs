@@ -40,10 +40,11 @@ pub(crate) fn refine_with(
     work: &Work,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
     let seed = subseed(seed, 0x4ef1);
+    // The old map stays until the new one's variance is known.
     let improve = |new: LightMap| {
         if new.variance.iter().any(|v| *v > 0.0) { blend(world, map, new) } else { map.clone() }
     };
-    let goal = Goal { budget, importance: &Importance::default(), seed, estimates: false };
+    let goal = Goal { budget, importance: &Importance::default(), seed, estimates: false, guesses: false };
     bake_map(world, &headers_of_layers(map), &improve, &goal, work)
 }
 

@@ -10,7 +10,8 @@ use crate::job::{Budget, Canceled, Pass, Progress};
 use crate::layers::Stack;
 use crate::lightmap::LightMap;
 use crate::random::subseed;
-use crate::transport::{Value, Work};
+use crate::transport::Work;
+use crate::value::Value;
 use crate::world::World;
 
 /// Samples per element of the first two rounds; every later round doubles the total.
@@ -49,6 +50,8 @@ pub(crate) struct Goal<'a> {
     pub seed: u64,
     /// An estimate may be shown before the first round: there is no light to be shown yet.
     pub estimates: bool,
+    /// A first round states the error that it is guessed to have. What is averaged by its variance waits until it is known.
+    pub guesses: bool,
 }
 
 impl Goal<'_> {
@@ -63,7 +66,7 @@ impl Goal<'_> {
         Budget { samples_per_element: self.budget.samples_per_element.min(samples), target_rmse: None }
     }
 
-    /// Its seed.
+    /// Seed of what comes first.
     pub(crate) fn first_seed(&self) -> u64 {
         subseed(self.seed, 0xf0c)
     }
@@ -110,6 +113,8 @@ pub(crate) struct Rounds<'a> {
     pub work: &'a Work<'a>,
     /// What they are for.
     pub phase: Phase,
+    /// See [`Goal::guesses`].
+    pub guesses: bool,
 }
 
 /// Parts of a tile's samples that its first rounds have: so many rounds tell its variance.
@@ -192,7 +197,9 @@ impl Rounds<'_> {
             let begin = |pass, fraction| observer.progress(&progress(pass, samples, fraction));
             round(&Round { samples, seed: subseed(self.seed, index), sum: &sum, begin: &begin }, &mut light)?;
             sum.add(samples, &mut light);
-            sum.guess_variance(self.world);
+            if self.guesses {
+                sum.guess_variance(self.world);
+            }
             let map = Arc::new(compose(&sum));
             estimated_rmse = stated(&map);
             let done = Progress {

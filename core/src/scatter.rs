@@ -16,8 +16,9 @@ pub(crate) fn scatter_of_neighbours(world: &World, light: impl Fn(usize) -> Vec3
     let mut variance = vec![0.0; world.slots()];
     let is_valid = |slot: usize| world.is_valid(slot);
     for placed in &world.placed {
-        for first in placed.sides().map(|first| first as usize) {
-            let own = first..first + placed.layout.len();
+        for side in placed.sides() {
+            let own = side.start as usize..side.end as usize;
+            let first = own.start;
             let neighbours = |element: usize| {
                 let slots = placed.layout.neighbours_of(element as u32).iter().map(|&e| first + e as usize);
                 slots.filter(|&slot| is_valid(slot))

@@ -72,8 +72,7 @@ impl Piece {
     }
 
     fn export<'a>(&'a self, world: &'a World, values: &'a [Vec3]) -> MeshExport<'a> {
-        let elements = &world.placed[self.index].placement.elements;
-        let range = elements.start as usize..elements.end as usize;
+        let range = world.placed[self.index].placement.element_indices();
         MeshExport {
             name: &world.scene.objects[self.index].name,
             positions: &self.positions,

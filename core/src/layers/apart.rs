@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::{Header, Layer, Stack, whole, whole_with};
 use crate::accumulate::Accumulator;
 use crate::lightmap::LightMap;
-use crate::transport::Value;
+use crate::value::Value;
 use crate::world::{Transition, Validity};
 
 /// Slots per task: all layers of theirs fit in the cache.

@@ -6,7 +6,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::accumulate::Accumulator;
-use crate::transport::Value;
+use crate::value::Value;
 use crate::world::Validity;
 
 /// Slots per task.

@@ -15,7 +15,8 @@ use super::{Rows, Subset, gmres};
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
-use crate::transport::{End, Radiance, Source, Value, Work};
+use crate::transport::{End, Radiance, Source, Work};
+use crate::value::Value;
 use crate::world::World;
 
 /// Residual of the solve, relative to its source.

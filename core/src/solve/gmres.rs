@@ -6,7 +6,7 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::transport::{Value, Wide};
+use crate::value::{Value, Wide};
 
 /// Krylov vectors before a restart.
 const RESTART: usize = 24;

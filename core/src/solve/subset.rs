@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use crate::transport::{Surfel, Value, blacken};
+use crate::transport::{Surfel, blacken};
+use crate::value::Value;
 use crate::world::{Hidden, Placed, World};
 
 const NONE: u32 = u32::MAX;

@@ -23,7 +23,7 @@ pub(crate) struct Cells {
     pub(super) nodes: Vec<Node>,
     /// Of all strips; behind the last of a strip comes one more, at its tip.
     pub(super) cuts: Vec<Cut>,
-    /// How many there are.
+    /// How many cells there are.
     pub(super) count: u32,
 }
 
@@ -194,12 +194,10 @@ impl Cells {
         (first + k as u32, corners, weights)
     }
 
-    /// The triangles of a surface.
-    fn faces<'s>(&'s self, surface: &'s Surface) -> impl Iterator<Item = Patch> + 's {
-        self.roots.iter().zip(0..).map(|(root, face)| {
-            let corners = surface.corners(face as usize);
-            Patch { cell: face, face, elements: root.corners, corners, node: root.node }
-        })
+    /// A triangle of a surface.
+    fn face(&self, surface: &Surface, face: u32) -> Patch {
+        let (root, corners) = (&self.roots[face as usize], surface.corners(face as usize));
+        Patch { cell: face, face, elements: root.corners, corners, node: root.node }
     }
 
     /// Pushes the children of a patch that is divided.
@@ -248,7 +246,25 @@ impl Cells {
 
     /// What `f` makes of every cell, in an order that depends on nothing but the layout.
     pub(crate) fn collect<T: Send>(&self, surface: &Surface, f: impl Fn(&Patch) -> Option<T> + Sync) -> Vec<T> {
-        let mut tasks: Vec<Patch> = self.faces(surface).collect();
+        let of_cells = |patches: &mut dyn Iterator<Item = Patch>| {
+            let (mut stack, mut found) = (Vec::new(), Vec::new());
+            for patch in patches {
+                stack.push(patch);
+                while let Some(patch) = stack.pop() {
+                    if patch.node == NONE { found.extend(f(&patch)) } else { self.divide(&patch, &mut stack) }
+                }
+            }
+            found
+        };
+        let faces = 0..self.roots.len() as u32;
+        if self.roots.len() >= TASKS {
+            let size = self.roots.len().div_ceil(TASKS) as u32;
+            let task = |first: u32| first..faces.end.min(first + size);
+            let tasks = (0..faces.end.div_ceil(size)).into_par_iter().map(|k| task(k * size));
+            return tasks.flat_map_iter(|task| of_cells(&mut task.map(|face| self.face(surface, face)))).collect();
+        }
+        // Few large triangles are divided until there are enough of them.
+        let mut tasks: Vec<Patch> = faces.map(|face| self.face(surface, face)).collect();
         while tasks.len() < TASKS && tasks.iter().any(|patch| patch.node != NONE) {
             let mut finer = Vec::with_capacity(4 * tasks.len());
             for patch in &tasks {
@@ -256,14 +272,8 @@ impl Cells {
             }
             tasks = finer;
         }
-        let of_task = |patch: &Patch| {
-            let (mut stack, mut found) = (vec![*patch], Vec::new());
-            while let Some(patch) = stack.pop() {
-                if patch.node == NONE { found.extend(f(&patch)) } else { self.divide(&patch, &mut stack) }
-            }
-            found
-        };
-        tasks.par_iter().with_min_len(tasks.len().div_ceil(TASKS)).flat_map_iter(of_task).collect()
+        let size = tasks.len().div_ceil(TASKS).max(1);
+        tasks.par_chunks(size).flat_map_iter(|task| of_cells(&mut task.iter().copied())).collect()
     }
 }
 
@@ -329,10 +339,10 @@ fn in_two(node: &Node, [a, b, c]: [u32; 3], [x, y, z]: [f32; 3]) -> Child {
     }
 }
 
-/// Rounding may leave a weight below zero.
+/// Rounding may leave a weight below zero, and of nothing but rounding there is nothing left.
 #[inline]
 fn normalized(weights: [f32; 3]) -> [f32; 3] {
     let [a, b, c] = weights.map(|w| w.max(0.0));
-    let scale = 1.0 / (a + b + c);
-    [a * scale, b * scale, c * scale]
+    let sum = a + b + c;
+    if sum > 0.0 && sum.is_finite() { [a / sum, b / sum, c / sum] } else { [1.0, 0.0, 0.0] }
 }

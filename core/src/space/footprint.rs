@@ -5,10 +5,8 @@ use glam::Vec3;
 /// The slots that hold the light of a point, and their weights, which sum to 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Footprint {
-    slots: [u32; 4],
-    weights: [f32; 4],
-    /// How many of them count.
-    len: u32,
+    slots: [u32; 3],
+    weights: [f32; 3],
 }
 
 /// A side of a surface, at a point, as trees and lights know it.
@@ -25,14 +23,14 @@ pub(crate) struct Spot {
 impl Footprint {
     /// Of the corners of a triangle.
     #[inline]
-    pub(crate) fn of_triangle([a, b, c]: [u32; 3], [u, v, w]: [f32; 3]) -> Footprint {
-        Footprint { slots: [a, b, c, a], weights: [u, v, w, 0.0], len: 3 }
+    pub(crate) fn of_triangle(slots: [u32; 3], weights: [f32; 3]) -> Footprint {
+        Footprint { slots, weights }
     }
 
     /// The slots.
     #[inline]
     pub(crate) fn slots(&self) -> &[u32] {
-        &self.slots[..self.len as usize]
+        &self.slots
     }
 
     /// The weighted mean of some values, one per slot.
@@ -42,15 +40,14 @@ impl Footprint {
         V: Copy + std::ops::Add<Output = V> + std::ops::Mul<f32, Output = V>,
     {
         let value = |k: usize| values[self.slots[k] as usize] * self.weights[k];
-        let three = value(0) + value(1) + value(2);
-        if self.len > 3 { three + value(3) } else { three }
+        value(0) + value(1) + value(2)
     }
 
     /// The slot that weighs most.
     #[inline]
     pub(crate) fn heaviest(&self) -> u32 {
         let mut best = 0;
-        for k in 1..self.len as usize {
+        for k in 1..3 {
             if self.weights[k] > self.weights[best] {
                 best = k;
             }
@@ -62,7 +59,7 @@ impl Footprint {
     #[inline]
     pub(crate) fn drawn(&self, u: f32) -> usize {
         let (mut k, mut sum) = (0, self.weights[0]);
-        while u >= sum && k + 1 < self.len as usize {
+        while u >= sum && k < 2 {
             k += 1;
             sum += self.weights[k];
         }
@@ -73,7 +70,7 @@ impl Footprint {
     pub(crate) fn without(mut self, mut is_out: impl FnMut(u32) -> bool) -> Option<Footprint> {
         const LEAST: f32 = 1e-3;
         let mut sum = 0.0;
-        for k in 0..self.len as usize {
+        for k in 0..3 {
             if is_out(self.slots[k]) {
                 self.weights[k] = 0.0;
             }
@@ -100,7 +97,7 @@ mod tests {
     fn what_does_not_count_leaves_its_weight_to_the_rest() {
         let footprint = Footprint::of_triangle([2, 0, 1], [0.5, 0.25, 0.25]);
         let rest = footprint.without(|slot| slot == 2).expect("half of it is left");
-        assert_eq!((rest.weights, rest.len), ([0.0, 0.5, 0.5, 0.0], 3));
+        assert_eq!(rest.weights, [0.0, 0.5, 0.5]);
         assert_eq!(footprint.without(|_| true), None);
     }
 }

@@ -6,7 +6,7 @@ use super::cells::{Cells, NONE, Patch};
 use super::elements::sample_points;
 use super::neighbours::Neighbours;
 use super::subdivide::{Subdivided, subdivide};
-use crate::order::along_curve;
+use crate::order::{along_curve, in_order};
 use crate::surface::{Surface, SurfaceError, barycentrics, moved_normals, moved_points, triangle_area};
 
 /// How the elements of one side of a surface are laid out; moving the surface leaves it as it is.
@@ -87,8 +87,7 @@ impl Layout {
         let mut number = vec![NONE; positions.len()];
         order.iter().zip(0..).for_each(|(&old, new)| number[old as usize] = new);
         cells.renumber(&number);
-        let sorted = |values: &[Vec3]| -> Vec<Vec3> { order.iter().map(|&old| values[old as usize]).collect() };
-        let (corners, normals) = (sorted(&positions), sorted(&normals));
+        let (corners, normals) = (in_order(&positions, &order), in_order(&normals, &order));
         // Rounding to f32 may flatten the smallest cells.
         let has_area = |elements: &[u32; 3]| triangle_area(elements.map(|e| corners[e as usize])) > 0.0;
         let of_cells = cells.collect(surface, |patch| Some(patch.elements));

@@ -2,7 +2,7 @@
 //!
 //! Every object owns ranges of slots: one entry of a light map per element, of its front and then of its back where light
 //! is seen there, too. [`Space`] answers for a hit which slots hold the light there, with what weights, and how much is
-//! reflected. Nothing outside of this module knows how elements are laid out: a layout answers [`layout::Layout`]'s questions.
+//! reflected. How a surface is divided is known in here only; others see its cells ([`Patch`]) and ask [`Layout`].
 
 mod albedo;
 mod cells;
@@ -13,6 +13,7 @@ mod layout;
 mod neighbours;
 mod offset;
 mod part;
+mod plan;
 mod slots;
 mod subdivide;
 #[cfg(test)]
@@ -116,7 +117,9 @@ impl Space {
         parts.list[placement.part_indices()].fill(Part::free());
         parts.free.give(placement.part_indices());
         parts.free_cells.give(placement.cell_indices());
-        self.set_cuts(placement.cells.clone().map(|cell| (cell, false)));
+        if !self.cuts.is_empty() {
+            self.set_cuts(placement.cells.clone().map(|cell| (cell, false)));
+        }
     }
 
     /// Writes other elements into the slots of an object.

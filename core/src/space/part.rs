@@ -51,9 +51,16 @@ impl Part {
         }
     }
 
-    /// Whether the back has elements of its own.
-    pub(crate) fn has_back(&self) -> bool {
-        self.back_offset > 0
+    /// Whether light that meets one is reflected as by the other.
+    pub(crate) fn reflects_like(&self, other: &Part) -> bool {
+        let same_albedos = match (&self.albedos, &other.albedos) {
+            (Some(a), Some(b)) => Arc::ptr_eq(a, b) || a == b,
+            (a, b) => a.is_none() && b.is_none(),
+        };
+        self.albedo == other.albedo
+            && same_albedos
+            && self.double_sided == other.double_sided
+            && self.solid == other.solid
     }
 }
 

@@ -8,6 +8,7 @@
 use glam::Vec3;
 
 use super::cells::{Cells, Cut, Kind, NONE, Node, Root, turned};
+use super::plan::{Child, Piece, Plan, Split, Triangle};
 use crate::hash::FastMap;
 use crate::surface::{Surface, SurfaceError};
 
@@ -64,61 +65,6 @@ struct Splitter {
     pending: Vec<(u32, Triangle)>,
 }
 
-/// A triangle that is to be split. Edge `i` goes from corner `i` to corner `i + 1`.
-struct Triangle {
-    corners: [u32; 3],
-    /// Per edge.
-    segments: [u32; 3],
-    plan: Plan,
-}
-
-/// How a triangle is to be split.
-enum Plan {
-    /// At these edges.
-    Edges([Option<Split>; 3]),
-    /// Across; the triangle's corners are turned so that its last edge is the short one.
-    Strip { turn: u8, ab: Vec<Piece>, cb: Vec<Piece> },
-}
-
-/// An edge after its split: the vertex between its ends and the segments on either side.
-#[derive(Clone, Copy)]
-struct Split {
-    middle: u32,
-    /// Segments from the edge's first corner to the middle, and from there to its second corner.
-    segments: [u32; 2],
-}
-
-impl Split {
-    /// How far along the edge the middle is.
-    fn fraction(&self) -> f32 {
-        let [first, second] = self.segments.map(f64::from);
-        (first / (first + second)) as f32
-    }
-}
-
-/// A part of an edge, up to a vertex.
-#[derive(Clone, Copy)]
-struct Piece {
-    end: u32,
-    /// How far along the edge the end is.
-    at: f32,
-    segments: u32,
-}
-
-/// A child of a triangle, and what is known of its splits already.
-#[derive(Clone, Copy)]
-struct Child {
-    corners: [u32; 3],
-    segments: [u32; 3],
-    splits: Option<[Option<Split>; 3]>,
-}
-
-impl Child {
-    fn new(corners: [u32; 3], segments: [u32; 3]) -> Child {
-        Child { corners, segments, splits: None }
-    }
-}
-
 impl Splitter {
     /// Splits one triangle all the way down.
     fn split(&mut self, corners: [u32; 3]) -> Result<(), SurfaceError> {
@@ -134,9 +80,9 @@ impl Splitter {
 
     /// The node of a triangle that is to be split; [`NONE`] where it is a cell.
     fn add(&mut self, child: Child) -> Result<u32, SurfaceError> {
-        let Child { corners, segments, splits } = child;
-        let plan = match splits {
-            Some(splits) => Some(Plan::Edges(splits)),
+        let Child { corners, segments, plan } = child;
+        let plan = match plan {
+            Some(plan) => Some(plan),
             None => self.plan(corners, segments)?,
         };
         let Some(plan) = plan else {
@@ -172,7 +118,7 @@ impl Splitter {
         for edge in (0..3).filter(|edge| flat.is_none_or(|longest| longest == *edge)) {
             splits[edge] = self.split_edge(corners[edge], corners[(edge + 1) % 3], segments[edge])?;
         }
-        Ok(splits.iter().any(Option::is_some).then_some(Plan::Edges(splits)))
+        Ok(Plan::of_edges(splits))
     }
 
     /// The longest edge of a triangle that has next to no height above it.
@@ -206,18 +152,13 @@ impl Splitter {
     /// A triangle's node; its children are added to what is pending.
     fn divide(&mut self, triangle: Triangle) -> Result<Node, SurfaceError> {
         let Triangle { corners, segments, plan } = triangle;
-        let splits = match plan {
-            Plan::Strip { turn, ab, cb } => {
-                return self.divide_strip(turn, turned(corners, turn), turned(segments, turn)[2], &ab, &cb);
+        match plan {
+            Plan::Four(splits) => self.divide_in_four(corners, splits),
+            Plan::Two { turn, ab, bc } => {
+                self.divide_in_two(turn, turned(corners, turn), turned(segments, turn), ab, bc)
             }
-            Plan::Edges(splits) => splits,
-        };
-        match splits {
-            [Some(ab), Some(bc), Some(ca)] => self.divide_in_four(corners, [ab, bc, ca]),
-            _ => {
-                // Turned so that an edge that is split comes first, and one that is not comes last.
-                let first = (0..3).find(|&e| splits[e].is_some() && splits[(e + 2) % 3].is_none()).unwrap_or(0);
-                self.divide_in_two(first as u8, turned(corners, first as u8), turned(segments, first as u8), splits)
+            Plan::Strip { turn, ab, cb } => {
+                self.divide_strip(turn, turned(corners, turn), turned(segments, turn)[2], &ab, &cb)
             }
         }
     }
@@ -229,30 +170,25 @@ impl Splitter {
         turn: u8,
         [a, b, c]: [u32; 3],
         [ab_segments, bc_segments, ca_segments]: [u32; 3],
-        splits: [Option<Split>; 3],
+        ab: Split,
+        bc: Option<Split>,
     ) -> Result<Node, SurfaceError> {
-        let (ab, bc) = match turned(splits, turn) {
-            [Some(ab), bc, _] => (ab, bc),
-            _ => return Err(SurfaceError::Mesh),
-        };
         let m = ab.middle;
         match bc {
             Some(bc) if self.length(a, bc.middle) <= self.length(m, c) => {
                 let n = bc.middle;
                 let an = self.segments(a, n)?;
-                let tip = Child {
-                    splits: Some([None, None, Some(ab)]),
-                    ..Child::new([b, n, a], [bc.segments[0], an, ab_segments])
-                };
+                let tip = Child::new([b, n, a], [bc.segments[0], an, ab_segments]).with_split(2, ab);
                 let rest = Child::new([n, c, a], [bc.segments[1], ca_segments, an]);
                 self.node(Kind::Two((turn + 1) % 3), [n, NONE, NONE], [bc.fraction(), 0.0, 0.0], [tip, rest])
             }
             _ => {
                 let mc = self.segments(m, c)?;
                 let near = Child::new([a, m, c], [ab.segments[0], mc, ca_segments]);
-                let far = Child {
-                    splits: bc.map(|bc| [None, Some(bc), None]),
-                    ..Child::new([m, b, c], [ab.segments[1], bc_segments, mc])
+                let far = Child::new([m, b, c], [ab.segments[1], bc_segments, mc]);
+                let far = match bc {
+                    Some(bc) => far.with_split(1, bc),
+                    None => far,
                 };
                 self.node(Kind::Two(turn), [m, NONE, NONE], [ab.fraction(), 0.0, 0.0], [near, far])
             }

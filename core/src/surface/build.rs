@@ -1,11 +1,11 @@
 //! From objects to surfaces.
 
-use glam::{DMat4, Vec3};
+use glam::{DMat4, DVec3, Vec3};
 
 use super::topology::closed_volume;
 use super::weld::{MIN_COSINE, geometric_normal, weld};
 use super::{Surface, SurfaceError};
-use crate::order::along_curve;
+use crate::order::{along_curve, in_order};
 use crate::scene::Object;
 
 /// Squares of side `spacing` that [`default_spacing`] aims at for a whole scene.
@@ -30,12 +30,9 @@ impl Surface {
     fn sort(&mut self) {
         let middles: Vec<Vec3> = self.all_corners().map(|[a, b, c]| a / 3.0 + b / 3.0 + c / 3.0).collect();
         let order = along_curve(&middles);
-        fn sorted<T: Copy>(values: &[T], order: &[u32]) -> Vec<T> {
-            order.iter().map(|&old| values[old as usize]).collect()
-        }
-        self.triangles = sorted(&self.triangles, &order);
-        self.triangle_materials = sorted(&self.triangle_materials, &order);
-        self.sources = sorted(&self.sources, &order);
+        self.triangles = in_order(&self.triangles, &order);
+        self.triangle_materials = in_order(&self.triangle_materials, &order);
+        self.sources = in_order(&self.sources, &order);
     }
 
     /// Corners of a triangle, scene space.
@@ -92,9 +89,10 @@ pub(crate) fn triangle_area([a, b, c]: [Vec3; 3]) -> f64 {
 }
 
 /// Weights of the corners of a triangle at a point in its plane, none below zero.
-pub(crate) fn barycentrics(point: Vec3, [a, b, c]: [Vec3; 3]) -> [f32; 3] {
+pub(crate) fn barycentrics(point: Vec3, corners: [Vec3; 3]) -> [f32; 3] {
+    let [a, b, c] = corners.map(|corner| (corner - point).as_dvec3());
     let n = (b - a).cross(c - a);
-    let part = |p: Vec3, q: Vec3| ((p - point).cross(q - point).dot(n) / n.length_squared()).max(0.0);
+    let part = |p: DVec3, q: DVec3| (p.cross(q).dot(n) / n.length_squared()).max(0.0) as f32;
     [part(b, c), part(c, a), part(a, b)]
 }
 

@@ -10,7 +10,10 @@ impl Surface {
         Surface {
             positions: moved_points(motion, &self.positions),
             normals: moved_normals(motion, &self.normals),
-            ..self.clone()
+            triangles: self.triangles.clone(),
+            triangle_materials: self.triangle_materials.clone(),
+            sources: self.sources.clone(),
+            ..*self
         }
     }
 

@@ -2,11 +2,12 @@
 
 use glam::Vec3;
 
-use super::{Effort, Value, Work};
+use super::{Effort, Work};
 use crate::bvh::Ray;
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
+use crate::value::Value;
 use crate::world::{Emitter, World, visible_weight};
 
 /// How many samples each light gets, for a nominal number per element.

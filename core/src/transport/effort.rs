@@ -59,8 +59,8 @@ impl Effort {
 fn smoothed(world: &World, variance: &[f32]) -> Vec<f32> {
     let mut smooth = variance.to_vec();
     for placed in &world.placed {
-        for first in placed.sides() {
-            let own = first as usize..first as usize + placed.layout.len();
+        for side in placed.sides() {
+            let own = side.start as usize..side.end as usize;
             let variance = &variance[own.clone()];
             let mean = |(element, smooth): (usize, &mut f32)| {
                 let neighbours = placed.layout.neighbours_of(element as u32);

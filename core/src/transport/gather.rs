@@ -1,10 +1,11 @@
 //! G: the mean of incoming radiance over cosine-distributed rays, per element.
 
 use super::incoming::{Radiance, Source};
-use super::{Effort, Value, Work};
+use super::{Effort, Work};
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
+use crate::value::Value;
 use crate::world::World;
 
 /// Gathers a light map with the near-field rule: reflected light only. `samples` per element, times its effort.

@@ -3,16 +3,17 @@
 use glam::Vec3;
 
 use super::direct::{direct_at, one_light};
-use super::{Effort, Rough, Spots, Target, Value, Work, black};
+use super::{Effort, Rough, Spots, Target, Work, black};
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::space::ray_offset;
+use crate::value::Value;
 use crate::world::World;
 
 /// Samples of direct light per element.
 const SAMPLES: u32 = 4;
 
-/// And within a cell over which it is rough: a lamp near by lights a point between its corners.
+/// Samples of direct light within a cell over which it is rough: a lamp near by lights a point between its corners.
 const PROBES: u32 = 8;
 
 /// From samples that nothing else uses: a choice must not know the noise of what it chooses between.
@@ -54,7 +55,7 @@ fn probe<V: Value>(world: &World, target: &Target, seed: u64, work: &Work) -> V 
     let (sequence, mut rays) = (R2::new(&mut rng), 0);
     let sample = |k| {
         let (point, n) = target.point(sequence.get(k));
-        one_light::<V>(world, point + n * ray_offset(point, target.extent()), n, &mut rng, &mut rays)
+        one_light::<V>(world, point + n * ray_offset(point, target.extent), n, &mut rng, &mut rays)
     };
     let sum: V = (0..PROBES).map(sample).sum();
     work.count(rays);

@@ -4,9 +4,10 @@ use glam::Vec3;
 
 use super::spots::From;
 use super::walk::is_near;
-use super::{End, Spots, Surfel, Value, walk};
+use super::{End, Spots, Surfel, walk};
 use crate::bvh::Ray;
 use crate::random::Pcg32;
+use crate::value::Value;
 use crate::world::World;
 
 /// Directions drawn by the cosine for each one that is aimed at a spot.

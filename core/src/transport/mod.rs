@@ -22,5 +22,3 @@ pub(crate) use spots::{Spots, Target};
 pub(crate) use surfel::Surfel;
 pub(crate) use walk::{End, Field, Rough, walk};
 pub(crate) use work::{Work, black, blacken, for_slots};
-
-pub(crate) use crate::value::{Value, Wide};

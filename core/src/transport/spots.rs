@@ -4,16 +4,18 @@
 //! its spots may be dark ones.
 
 use std::f32::consts::PI;
+use std::ops::Range;
 use std::sync::Arc;
 
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::Surfel;
 use super::walk::is_near;
-use super::{Surfel, Value};
 use crate::bvh::Hit;
 use crate::sampling::{Discrete, uniform_barycentrics};
 use crate::space::Patch;
+use crate::value::Value;
 use crate::world::{Placed, World};
 
 /// Radiance over the mean one from which on a cell belongs to a spot.
@@ -48,6 +50,8 @@ pub(crate) struct Target {
     pub back: bool,
     /// Counter-clockwise from the front.
     pub corners: [Vec3; 3],
+    /// Longest side of the boxes of the object's triangles, m: rays start off it by as much as hits are inexact.
+    pub extent: f32,
     /// Element slots of the corners, on this side.
     pub elements: [u32; 3],
     /// Diffuse albedo.
@@ -55,12 +59,6 @@ pub(crate) struct Target {
 }
 
 impl Target {
-    /// Longest side of the cell's box, m.
-    pub(crate) fn extent(&self) -> f32 {
-        let [a, b, c] = self.corners;
-        (a.max(b).max(c) - a.min(b).min(c)).max_element()
-    }
-
     /// A point and the normal on this side there, from two numbers in [0, 1).
     #[inline]
     pub(crate) fn point(&self, u: [f32; 2]) -> From {
@@ -78,17 +76,19 @@ impl Spots {
     /// The spots of light sent out; `radiance(side)` tells its amount. None where there are none worth it.
     pub(crate) fn new(world: &World, radiance: impl Fn(&Target) -> f32 + Sync) -> Option<Spots> {
         let amounts_of = |placed: &Arc<Placed>| sides(world, placed, |area, target| Some((area, radiance(&target))));
-        let amounts: Vec<(f32, f32)> = world.placed.par_iter().flat_map_iter(amounts_of).collect();
-        let places = || amounts.par_chunks(CHUNK).map(|chunk| chunk.iter().copied());
+        let amounts: Vec<Vec<(f32, f32)>> = world.placed.par_iter().map(amounts_of).collect();
+        let places = || amounts.par_iter().map(|of_object| of_object.iter().copied());
         let limit = limit(places());
         (share_of_bright(places(), limit) > WORTHWHILE).then_some(())?;
-        let bright = |placed: &Arc<Placed>| {
-            sides(world, placed, |area, target| {
-                let radiance = radiance(&target);
-                (radiance > limit).then_some(Spot { target, area, power: area * radiance })
-            })
+        let has_bright = |(_, amounts): &(_, &Vec<(f32, f32)>)| amounts.iter().any(|(_, radiance)| *radiance > limit);
+        // In the same order as before: radiance is costly, what it was is not asked again.
+        let bright = |(placed, amounts): (&Arc<Placed>, &Vec<(f32, f32)>)| -> Vec<Spot> {
+            let targets = sides(world, placed, |_, target| Some(target));
+            let spots = targets.into_iter().zip(amounts).filter(|(_, (_, radiance))| *radiance > limit);
+            spots.map(|(target, &(area, radiance))| Spot { target, area, power: area * radiance }).collect()
         };
-        Spots::of(world, &world.placed.par_iter().flat_map_iter(bright).collect::<Vec<Spot>>())
+        let objects = world.placed.par_iter().zip(&amounts).filter(has_bright);
+        Spots::of(world, &objects.flat_map_iter(bright).collect::<Vec<Spot>>())
     }
 
     /// The spots of a light map, irradiance / π per slot, by what each layer weighs.
@@ -220,12 +220,14 @@ fn sides<T: Send>(world: &World, placed: &Placed, f: impl Fn(f32, Target) -> Opt
             Some(albedos) => patch.elements.map(|e| albedos[e as usize]).into_iter().sum::<Vec3>() / 3.0,
         };
         let cell = placed.placement.cells.start + patch.cell;
-        let side = |(first, back)| {
-            let elements = patch.elements.map(|element| first + element);
-            if area > 0.0 { f(area, Target { cell, back, corners, elements, albedo }) } else { None }
+        let side = |(side, back): (Range<u32>, bool)| {
+            let elements = patch.elements.map(|element| side.start + element);
+            let target = Target { cell, back, corners, extent: part.extent, elements, albedo };
+            if area > 0.0 { f(area, target) } else { None }
         };
         let mut found = placed.sides().zip([false, true]).map(side);
-        Some([found.next().flatten(), found.next().flatten()])
+        let found = [found.next().flatten(), found.next().flatten()];
+        found.iter().any(Option::is_some).then_some(found)
     };
     placed.layout.of_cells(&placed.surface, of_cell).into_iter().flatten().flatten().collect()
 }

@@ -9,12 +9,13 @@ use rayon::prelude::*;
 
 use super::direct::one_light;
 use super::incoming::{Radiance, Source};
-use super::{Spots, Surfel, Value};
+use super::{Spots, Surfel};
 use crate::bits::Bits;
 use crate::bvh::Ray;
 use crate::random::Pcg32;
 use crate::sampling::cosine_hemisphere;
 use crate::space::{Footprint, Patch};
+use crate::value::Value;
 use crate::world::{Placed, World};
 
 /// Hits nearer than this many spacings of the elements there are near.
@@ -129,7 +130,7 @@ impl Rough {
         };
         let of_object = |placed: &Arc<Placed>| -> Vec<u32> {
             let rough = |patch: &Patch| {
-                let is_rough = placed.sides().any(|first| is_rough(patch.elements.map(|e| first + e)));
+                let is_rough = placed.sides().any(|side| is_rough(patch.elements.map(|element| side.start + element)));
                 is_rough.then_some(placed.placement.cells.start + patch.cell)
             };
             placed.layout.of_cells(&placed.surface, rough)

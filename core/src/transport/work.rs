@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
 
-use super::Value;
 use crate::job::{Canceled, Observer};
+use crate::value::Value;
 
 /// Elements per task: long enough to amortise, short enough that a cancel is seen within milliseconds.
 const CHUNK: usize = 64;

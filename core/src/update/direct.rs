@@ -8,7 +8,8 @@ use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::{Spheres, cosine_hemisphere};
 use crate::solve::Subset;
-use crate::transport::{DirectLight, Value, Work};
+use crate::transport::{DirectLight, Work};
+use crate::value::Value;
 use crate::world::{Emitter, Transition, World};
 
 /// One light in both worlds.

@@ -3,7 +3,8 @@
 use rayon::prelude::*;
 
 use crate::solve::Subset;
-use crate::transport::{Value, for_slots};
+use crate::transport::for_slots;
+use crate::value::Value;
 
 const NONE: u32 = u32::MAX;
 

@@ -18,7 +18,8 @@ use crate::layers::{
 use crate::lightmap::LightMap;
 use crate::random::subseed;
 use crate::rounds::Goal;
-use crate::transport::{Value, Work};
+use crate::transport::Work;
+use crate::value::Value;
 use crate::value::with_layers;
 use crate::world::{Transition, World};
 
@@ -109,8 +110,13 @@ impl Update<'_> {
         let budget = self.goal.budget;
         let budget = Budget { samples_per_element: budget.samples_per_element.min(most), ..*budget };
         let importance = if publishes { *self.goal.importance } else { Importance::default() };
-        let goal =
-            Goal { budget: &budget, importance: &importance, seed: subseed(self.goal.seed, 0x1ea), estimates: false };
+        let goal = Goal {
+            budget: &budget,
+            importance: &importance,
+            seed: subseed(self.goal.seed, 0x1ea),
+            estimates: false,
+            guesses: true,
+        };
         let map = bake_layers(&self.transition.before, &self.plan.leaving, &finish, &goal, work)?;
         Ok(map.map(|map| (map, last.take())))
     }

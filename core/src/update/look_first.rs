@@ -14,7 +14,8 @@ use crate::job::Canceled;
 use crate::random::subseed;
 use crate::rounds::{First, Goal, Phase, Round, Rounds};
 use crate::solve::Rows;
-use crate::transport::{Value, Work};
+use crate::transport::Work;
+use crate::value::Value;
 
 /// Samples of what is not looked at, where that is nearly everything.
 const UNSEEN_SAMPLES: u32 = 2;
@@ -81,7 +82,7 @@ impl<V: Value> Updater<'_, V> {
         let (budget, seed) = (&goal.first_budget(), goal.first_seed());
         // The rest of the map is out of date: nothing can be stated about the whole.
         let (world, weights) = (self.world, self.stage.weights);
-        let rounds = Rounds { world, weights, budget, seed, work, phase: Phase::Part };
+        let rounds = Rounds { world, weights, budget, seed, work, phase: Phase::Part, guesses: goal.guesses };
         rounds.run(|_| None, |_| false, |r, out| self.round_of(r, &look, out), compose)?;
         Ok(last.map(|(stack, samples)| First::evenly(stack, &look.is_seen, samples)))
     }

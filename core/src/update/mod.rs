@@ -38,7 +38,8 @@ use crate::lightmap::LightMap;
 use crate::random::subseed;
 use crate::refine::refine_with;
 use crate::rounds::{Goal, Phase, Round, Rounds};
-use crate::transport::{Value, Work};
+use crate::transport::Work;
+use crate::value::Value;
 use crate::world::Transition;
 
 /// Part of the old map's variance below which that of the change is settled: more samples of it would not show.
@@ -65,7 +66,7 @@ pub fn update(
     let work = Work::new(observer);
     let importance = &importance.copied().unwrap_or_default();
     let budget = &importance.budget(budget);
-    let goal = Goal { budget, importance, seed: subseed(seed, 0xed17), estimates: false };
+    let goal = Goal { budget, importance, seed: subseed(seed, 0xed17), estimates: false, guesses: true };
     let updated = match update_layers(transition, map, &goal, &work) {
         Some(updated) => updated?,
         None => update_whole(transition, map, &goal, &work)?,
@@ -147,7 +148,7 @@ pub(crate) fn run_stage<V: Value>(stage: &Stage, goal: &Goal, work: &Work) -> Re
         budget.target_rmse.is_some() && s.knows_variance() && updater.mean(&s.variance()) < SETTLED * carried
     };
     let phase = if first.is_some() { Phase::Rest } else { Phase::Whole };
-    let rounds = Rounds { world, weights, budget, seed, work, phase };
+    let rounds = Rounds { world, weights, budget, seed, work, phase, guesses: goal.guesses };
     let map = rounds.run(stated, enough, round, compose)?;
     Ok(map.map(|map| Updated { map, baked: baker.get().is_some() }))
 }

@@ -10,7 +10,8 @@ use crate::random::subseed;
 use crate::rounds::Round;
 use crate::solve::{Exchange, Paths, Rows};
 use crate::transport::direct::direct_of;
-use crate::transport::{Effort, Field, Rough, Spots, Value, gather};
+use crate::transport::{Effort, Field, Rough, Spots, gather};
+use crate::value::Value;
 
 /// Samples of new rows per sample of the others: they have no old map to lean on (design, section 3.8 c).
 const NEW_ROW_SAMPLES: u32 = 4;

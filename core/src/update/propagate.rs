@@ -13,7 +13,8 @@ use crate::random::{Pcg32, subseed};
 use crate::rounds::Round;
 use crate::solve::{Exchange, Paths, Rows};
 use crate::space::Patch;
-use crate::transport::{Effort, Radiance, Source, Spots, Surfel, Value, gather};
+use crate::transport::{Effort, Radiance, Source, Spots, Surfel, gather};
+use crate::value::Value;
 use crate::world::World;
 
 /// Samples of the propagation per representative and round: at least, at most.
@@ -96,7 +97,7 @@ impl<V: Value> Change<'_, V> {
                 (change != Vec3::ZERO).then_some((patch.elements, change))
             };
             for (elements, change) in placed.layout.of_cells(&placed.surface, of_cell) {
-                for slot in placed.sides().flat_map(|first| elements.map(|element| (first + element) as usize)) {
+                for slot in placed.sides().flat_map(|side| elements.map(|element| (side.start + element) as usize)) {
                     let reflected = amount(light[slot].weighted(weights) * change) / ALBEDO;
                     amounts[slot] = amounts[slot].max(reflected);
                 }

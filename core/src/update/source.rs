@@ -12,7 +12,8 @@ use crate::random::{Pcg32, R2, subseed};
 use crate::rounds::Round;
 use crate::sampling::{Mixture, Spheres};
 use crate::solve::Subset;
-use crate::transport::{Spots, Surfel, Value, Work};
+use crate::transport::{Spots, Surfel, Work};
+use crate::value::Value;
 use crate::world::{Transition, World};
 
 /// From this part of the hemisphere on an element gets all samples; less coverage, less to know.
@@ -202,7 +203,8 @@ fn closest(tree: Option<&Bvh>, ray: &Ray, rays: &mut u64) -> Option<Hit> {
 /// taken away, it is what they have of their neighbours: their own light counts by how it differs from that.
 fn look<V: Value>(world: &World, ray: &Ray, hit: Option<&Hit>, map: &[V], rays: &mut u64) -> V {
     let Some(surfel) = hit.and_then(|h| Surfel::to_look_up(world, ray, h, rays)) else { return V::default() };
-    let footprint = surfel.footprint.or_else(|| Surfel::new(world, ray, hit?)?.footprint);
+    let as_it_is = || if world.space.is_cut(surfel.cell) { Surfel::new(world, ray, hit?)?.footprint } else { None };
+    let footprint = surfel.footprint.or_else(as_it_is);
     footprint.map_or(V::default(), |footprint| footprint.interpolate(map) * surfel.albedo)
 }
 

@@ -14,7 +14,8 @@ use crate::layers::Stack;
 use crate::random::subseed;
 use crate::rounds::{First, Goal, Phase, Round, Rounds};
 use crate::tiles::{Place, cut};
-use crate::transport::{Value, Work};
+use crate::transport::Work;
+use crate::value::Value;
 
 /// Part of the largest bound below which a change is not worth a tile of its own where nobody says what he looks at.
 const NEGLIGIBLE: f32 = 0.01;
@@ -109,7 +110,7 @@ impl<V: Value> Updater<'_, V> {
         let look = self.look_with(is_seen, known);
         let (world, weights) = (self.world, self.stage.weights);
         let (budget, seed) = (&goal.first_budget(), subseed(goal.first_seed(), 1 + index));
-        let rounds = Rounds { world, weights, budget, seed, work, phase: Phase::Part };
+        let rounds = Rounds { world, weights, budget, seed, work, phase: Phase::Part, guesses: goal.guesses };
         rounds.run_quietly(|round, out| self.round_of(round, &look, out))
     }
 }

@@ -16,7 +16,8 @@ use crate::layers::{Apart, Stack};
 use crate::lightmap::LightMap;
 use crate::rounds::{First, Round};
 use crate::solve::{Rows, Subset};
-use crate::transport::{Spots, Value, Work};
+use crate::transport::{Spots, Work};
+use crate::value::Value;
 use crate::world::{Transition, World};
 
 /// Slots per task.

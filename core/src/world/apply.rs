@@ -12,7 +12,7 @@ use super::motion::{is_rigid, move_light, transformed_light};
 use super::{Placed, Transition, Validity, World, WorldError, probe};
 use crate::bvh::{BuildQuality, Bvh};
 use crate::edit::{Edit, EditError, EditErrorKind, name_matches};
-use crate::scene::{Light, LightKind, Scene, merge_as_object};
+use crate::scene::{Light, LightKind, Object, Scene, merge_as_object};
 
 impl World {
     /// Applies edits as a unit. On an error nothing has changed and the error names the field at fault.
@@ -149,7 +149,7 @@ impl Draft {
         Ok(())
     }
 
-    fn add_object(&mut self, object: crate::scene::Object) -> Result<(), EditError> {
+    fn add_object(&mut self, object: Object) -> Result<(), EditError> {
         let world = &self.world;
         let ready =
             build::Ready::new(&world.scene, &object, world.resolution, &world.options).map_err(|e| too_large(&e))?;
@@ -202,12 +202,8 @@ impl Draft {
         object.world_from_object = *transform;
         self.move_lamps_of(&object.name, &step);
         if !is_rigid(&step) {
-            // Another size asks for other elements: the object leaves its slots and comes back in new ones.
-            let Scene { lights, light_parents, .. } = self.world.scene.clone();
-            self.remove_object(index);
-            self.world.scene.lights = lights;
-            self.world.scene.light_parents = light_parents;
-            return self.add_object(object);
+            // Another size asks for other elements.
+            return self.replace_object(index, object);
         }
         let to_scene = DMat4::from_translation(-self.world.scene.origin);
         let motion = to_scene * step * to_scene.inverse();
@@ -255,15 +251,22 @@ impl Draft {
 
     /// Takes the pictures off an object: to its light it is another one in the same place.
     fn paint_over(&mut self, index: usize) -> Result<(), EditError> {
-        let Scene { lights, light_parents, .. } = self.world.scene.clone();
         let mut object = self.world.scene.objects[index].clone();
         object.looks = Vec::new();
-        Arc::make_mut(&mut object.mesh).colors = Vec::new();
+        if !object.mesh.colors.is_empty() {
+            Arc::make_mut(&mut object.mesh).colors = Vec::new();
+        }
+        self.replace_object(index, object)
+    }
+
+    /// An object leaves its slots and another comes in new ones. In the list it stays where it was, and what hangs on it
+    /// stays there, too.
+    fn replace_object(&mut self, index: usize, object: Object) -> Result<(), EditError> {
+        let Scene { lights, light_parents, .. } = &self.world.scene;
+        let (lights, light_parents) = (lights.clone(), light_parents.clone());
         self.remove_object(index);
         self.add_object(object)?;
-        // In the list it stays where it was, and what hangs on it stays there, too.
-        let objects = &mut self.world.scene.objects;
-        objects[index..].rotate_right(1);
+        self.world.scene.objects[index..].rotate_right(1);
         self.world.placed[index..].rotate_right(1);
         (self.world.scene.lights, self.world.scene.light_parents) = (lights, light_parents);
         Ok(())
@@ -335,13 +338,10 @@ impl Draft {
             let solid = self.world.is_solid(&placed);
             self.world.space.parts_of_mut(&placed.placement).iter_mut().for_each(|p| p.solid = solid);
         }
-        if self.world.slots() > self.world.options.max_elements {
-            let limit = self.world.options.max_elements;
-            return Err(error(
-                "asset",
-                format!("the scene would have more than {limit} elements"),
-                EditErrorKind::TooLarge,
-            ));
+        let limit = self.world.options.max_elements;
+        if self.world.element_count() > limit {
+            let reason = format!("the scene would have more than {limit} elements");
+            return Err(error("edits", reason, EditErrorKind::TooLarge));
         }
         Ok(())
     }
@@ -364,7 +364,7 @@ fn merged_tree<'a>(objects: impl Iterator<Item = &'a Placed>) -> Option<Arc<Bvh>
     (!ids.is_empty()).then(|| Arc::new(Bvh::build(&corners, &ids, BuildQuality::Fast)))
 }
 
-/// Rows that get their first value: of objects that came, and what came out of a solid. Ascending.
+/// Rows that get their first value: of objects that came, and of elements that were invalid. Ascending.
 fn new_rows(before: &World, after: &World, ranges: &[Range<u32>]) -> Vec<u32> {
     let is_computed = |slot: u32| after.areas()[slot as usize] > 0.0 && after.validity.is_valid(slot as usize);
     let is_of_new = |slot: u32| ranges.iter().any(|range| range.contains(&slot));

@@ -99,7 +99,7 @@ pub(super) fn behind_surfaces(world: &World, placed: &Placed) -> Vec<u32> {
     let is_cut = |patch: &Patch| world.space.is_cut(placed.placement.cells.start + patch.cell);
     let corners = |patch: &Patch| {
         let elements = patch.elements;
-        placed.sides().map(move |first| elements.map(|element| first + element))
+        placed.sides().map(move |side| elements.map(|element| side.start + element))
     };
     let cut = placed.layout.of_cells(&placed.surface, |patch| {
         is_cut(patch).then(|| corners(patch).flat_map(|corners| seen_of_cell(world, corners)).collect::<Vec<_>>())

@@ -13,8 +13,8 @@ const RINGS: u32 = 8;
 
 impl World {
     /// Raises negative values (per slot, irradiance / π) to zero and takes what that adds from neighbours along the
-    /// surface, so that the mean of an object, weighted by area, stays as it is. Where an object as a whole is negative, it
-    /// becomes black. Nothing else changes, not even by a bit: the same values come out of the same values.
+    /// surface, so that the mean of each side of an object, weighted by area, stays as it is per channel. Where it is
+    /// negative, that channel of the side becomes black. Nothing else changes, not even by a bit: the same values come out of the same values.
     ///
     /// # Panics
     /// Where there is not one value per slot.
@@ -25,8 +25,8 @@ impl World {
         };
         let objects: Vec<&Arc<Placed>> = self.placed.par_iter().filter(has_negative).collect();
         for placed in objects {
-            for first in placed.sides() {
-                let own = first as usize..first as usize + placed.layout.len();
+            for side in placed.sides() {
+                let own = side.start as usize..side.end as usize;
                 let areas = &self.areas()[own.clone()];
                 (0..3).for_each(|channel| raise(placed, areas, &mut values[own.clone()], channel));
             }

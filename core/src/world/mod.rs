@@ -29,6 +29,7 @@ pub(crate) use sight::Hidden;
 pub(crate) use validity::Validity;
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -122,10 +123,11 @@ pub(crate) struct Placed {
 }
 
 impl Placed {
-    /// The slots of the first element of its front, and of its back where that has elements.
-    pub(crate) fn sides(&self) -> impl Iterator<Item = u32> {
-        let first = self.placement.elements.start;
-        [Some(first), self.with_back.then(|| first + self.layout.len() as u32)].into_iter().flatten()
+    /// The slots of its front, and of its back where that has elements.
+    pub(crate) fn sides(&self) -> impl Iterator<Item = Range<u32>> {
+        let (first, count) = (self.placement.elements.start, self.layout.len() as u32);
+        let side = move |k: u32| first + k * count..first + (k + 1) * count;
+        (0..if self.with_back { 2 } else { 1 }).map(side)
     }
 }
 
@@ -213,7 +215,7 @@ impl World {
         if total > 0.0 { sum / total } else { 0.0 }
     }
 
-    /// Elements inside solids: their values are copied from neighbours, not computed.
+    /// Whether an element's value is computed. Inside solids and behind surfaces it is copied from neighbours.
     pub fn is_valid(&self, slot: usize) -> bool {
         self.validity.is_valid(slot)
     }

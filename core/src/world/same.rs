@@ -43,18 +43,32 @@ impl World {
 
     fn is_same_object(&self, a: (&Arc<Placed>, usize), other: &World, b: (&Arc<Placed>, usize)) -> bool {
         let ((a, materials), (b, other_materials)) = (a, b);
-        let parts = |world: &World, placed: &Placed, material: usize| {
-            let part = &world.space.parts_of(&placed.placement)[material];
-            (part.albedo, part.albedos.clone(), part.double_sided, part.solid, part.has_back())
+        let parts = || {
+            let parts = self.space.parts_of(&a.placement).iter().zip(other.space.parts_of(&b.placement));
+            parts.take(materials)
         };
         a.placement.elements == b.placement.elements
+            && a.with_back == b.with_back
             && materials == other_materials
-            && (0..materials).all(|m| parts(self, a, m) == parts(other, b, m))
-            && (Arc::ptr_eq(&a.surface, &b.surface)
-                || are_close(&a.surface.positions, &b.surface.positions, tolerance(&a.surface))
-                    && are_close(&a.surface.normals, &b.surface.normals, SAME_NORMAL)
-                    && a.surface.triangles == b.surface.triangles
-                    && a.surface.triangle_materials == b.surface.triangle_materials)
+            && parts().all(|(a, b)| a.reflects_like(b))
+            && self.has_surface_of(a, b)
+            && self.has_elements_of(a, other, b)
+    }
+
+    fn has_surface_of(&self, a: &Placed, b: &Placed) -> bool {
+        Arc::ptr_eq(&a.surface, &b.surface)
+            || are_close(&a.surface.positions, &b.surface.positions, tolerance(&a.surface))
+                && are_close(&a.surface.normals, &b.surface.normals, SAME_NORMAL)
+                && a.surface.triangles == b.surface.triangles
+                && a.surface.triangle_materials == b.surface.triangle_materials
+    }
+
+    /// Surfaces that are the same may be laid out in another order, after another way to where they are.
+    fn has_elements_of(&self, a: &Placed, other: &World, b: &Placed) -> bool {
+        let own = a.placement.element_indices();
+        Arc::ptr_eq(&a.layout, &b.layout)
+            || are_close(&self.positions()[own.clone()], &other.positions()[own.clone()], tolerance(&a.surface))
+                && are_close(&self.normals()[own.clone()], &other.normals()[own], SAME_NORMAL)
     }
 }
 
@@ -114,5 +128,33 @@ mod tests {
         let was = start.lights().next().expect("a lamp").light.intensity;
         let dimmed = apply(&start, dim(0.5 * was));
         assert!(!dimmed.is_lit_like(&start) && apply(&dimmed, dim(was)).is_lit_like(&start));
+    }
+
+    /// An object keeps the order of its elements when it is turned; one that is inserted where that now stands has another.
+    #[test]
+    fn elements_in_another_order_are_not_the_same() {
+        let options = WorldOptions { spacing: Some(0.25), ..WorldOptions::default() };
+        let start = World::new(Scene::from_objects(vec![cube("a", 0.0)]), &options).expect("a world");
+        let plate = Object::new("c", Mesh::quad(Vec3::Y * 5.0, Vec3::X, Vec3::Z), Material::diffuse(Vec3::ONE));
+        let asset = Arc::new(Scene::from_objects(vec![plate]));
+        let insert = |transform| Edit::Insert { asset: Arc::clone(&asset), name: "c".into(), transform };
+        let apply = |world: &World, edit: Edit| world.apply(&[edit]).expect("an edit").after;
+        let there = apply(&start, insert(DMat4::IDENTITY));
+        let mut others = 0;
+        for angle in [0.5, 1.0, 1.5].map(|half| half * std::f64::consts::PI) {
+            let turned = DMat4::from_rotation_y(angle);
+            let moved = apply(&there, Edit::Move { object: "c".into(), transform: turned });
+            let inserted = apply(&start, insert(turned));
+            let of = |world: &World| Arc::clone(world.placed.last().expect("a plate"));
+            let (a, b) = (of(&moved), of(&inserted));
+            if a.placement.elements != b.placement.elements {
+                continue;
+            }
+            let apart = |slot: usize| moved.positions()[slot].distance(inserted.positions()[slot]);
+            let same = a.placement.element_indices().all(|slot| apart(slot) < 1e-3);
+            assert_eq!(moved.has_elements_of(&a, &inserted, &b), same, "turned by {angle}");
+            others += u32::from(!same);
+        }
+        assert!(others > 0, "no turn leaves the number of elements as it is and puts them in another order");
     }
 }

@@ -67,7 +67,7 @@ impl World {
             .map(|placed| {
                 let old = world.sight.get(&placed.key);
                 let touched = if is_new(placed) { None } else { touched };
-                if touched.is_some_and(|boxes| !boxes.iter().any(|b| overlap(b, &grown(placed, world.spacing())))) {
+                if !world.is_near(touched, placed) {
                     return (None, Vec::new());
                 }
                 (Some(hidden_entries(world, placed, touched, old.map(|o| &**o))), cut_cells(world, placed, touched))
@@ -87,14 +87,8 @@ impl World {
     /// neighbours' values from then on, and cells at them are cut.
     pub(super) fn find_behind(&mut self, touched: Touched, is_new: impl Fn(&Placed) -> bool + Sync) {
         let world = &*self;
-        let is_touched = |placed: &Placed| {
-            let bounds = grown(placed, world.spacing());
-            is_new(placed) || touched.is_none_or(|boxes| boxes.iter().any(|b| overlap(b, &bounds)))
-        };
-        let kept = |placed: &Placed| {
-            let slots = &placed.placement.elements;
-            world.validity.behind().iter().copied().filter(|slot| slots.contains(slot)).collect()
-        };
+        let is_touched = |placed: &Placed| is_new(placed) || world.is_near(touched, placed);
+        let kept = |placed: &Placed| world.validity.behind_of(&placed.placement.elements).to_vec();
         let of_object = |placed: &Arc<Placed>| -> Vec<u32> {
             if is_touched(placed) { behind_surfaces(world, placed) } else { kept(placed) }
         };
@@ -107,25 +101,27 @@ impl World {
         let is_behind = |slot: u32| validity.behind().binary_search(&slot).is_ok();
         let cells = |placed: &Arc<Placed>| -> Vec<(u32, bool)> {
             placed.layout.of_cells(&placed.surface, |patch| {
-                let at = placed.sides().any(|first| patch.elements.iter().any(|e| is_behind(first + e)));
+                let at = placed.sides().any(|side| patch.elements.iter().any(|e| is_behind(side.start + e)));
                 at.then_some((placed.placement.cells.start + patch.cell, true))
             })
         };
-        let has_some = |placed: &&Arc<Placed>| placed.placement.elements.clone().any(is_behind);
+        let has_some = |placed: &&Arc<Placed>| !validity.behind_of(&placed.placement.elements).is_empty();
         let cells: Vec<(u32, bool)> = world.placed.par_iter().filter(has_some).flat_map_iter(cells).collect();
         self.validity = validity;
         self.space.set_cuts(cells);
+    }
+
+    /// Whether geometry has changed on an object or beside it.
+    fn is_near(&self, touched: Touched, placed: &Placed) -> bool {
+        let (low, high) = placed.surface.bounds();
+        let grown = (low - self.spacing(), high + self.spacing());
+        touched.is_none_or(|boxes| boxes.iter().any(|b| overlap(b, &grown)))
     }
 
     fn blocked(&self, from: Vec3, to: Vec3) -> bool {
         let ray = Ray { origin: from, direction: to - from, t_min: ENDS, t_max: 1.0 - ENDS };
         from != to && self.trees.any_hit(&ray)
     }
-}
-
-fn grown(placed: &Placed, by: f32) -> (Vec3, Vec3) {
-    let (low, high) = placed.surface.bounds();
-    (low - by, high + by)
 }
 
 pub(super) fn overlap(a: &(Vec3, Vec3), b: &(Vec3, Vec3)) -> bool {
@@ -181,4 +177,45 @@ fn cut_cells(world: &World, placed: &Placed, touched: Touched) -> Vec<(u32, bool
         let cut = cut_on(slots) || placed.with_back && cut_on(slots.map(|slot| slot + n));
         Some((placed.placement.cells.start + patch.cell, cut))
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use glam::{DMat4, DVec3, Vec3};
+
+    use crate::scene::{Material, Mesh, Object, Scene};
+    use crate::{Edit, World, WorldOptions};
+
+    /// A floor with elements in a slot between two plates, and an edit far from them that touches the floor.
+    #[test]
+    fn elements_behind_surfaces_stay_so_when_something_else_changes() {
+        let white = Material::diffuse(Vec3::ONE);
+        let floor = Mesh::quad(Vec3::ZERO, Vec3::Z * 4.0, Vec3::X * 4.0);
+        // Their fronts face each other.
+        let left = Mesh::quad(Vec3::new(0.98, 0.0, 0.0), Vec3::Y, Vec3::Z * 4.0);
+        let right = Mesh::quad(Vec3::new(1.02, 0.0, 0.0), Vec3::Z * 4.0, Vec3::Y);
+        let named = |name: &str, mesh| Object::new(name, mesh, white);
+        let objects = vec![named("floor", floor), named("left", left), named("right", right)];
+        let options = WorldOptions { spacing: Some(0.5), ..WorldOptions::default() };
+        let start = World::new(Scene::from_objects(objects), &options).expect("a floor");
+        let behind = start.validity.behind().to_vec();
+        assert!(!behind.is_empty(), "no element is in the slot");
+        let cube = Object::new("cube", Mesh::cuboid(Vec3::ZERO, Vec3::ONE * 0.3), white);
+        let asset = Arc::new(Scene::from_objects(vec![cube]));
+        let at = DMat4::from_translation(DVec3::new(3.0, 0.1, 3.0));
+        let mut world = start.clone();
+        for edit in [
+            Edit::Insert { asset, name: "cube".into(), transform: at },
+            Edit::Move { object: "cube".into(), transform: DMat4::from_translation(DVec3::new(3.2, 0.1, 2.0)) },
+            Edit::Remove { objects: vec!["cube".into()] },
+        ] {
+            let transition = world.apply(&[edit]).expect("an edit");
+            world = transition.after;
+            assert_eq!(world.validity.behind(), behind);
+            assert!(behind.iter().all(|&slot| !world.is_valid(slot as usize)), "they are computed now");
+            assert!(behind.iter().all(|slot| !transition.filled_rows.contains(slot)));
+        }
+    }
 }

@@ -68,6 +68,11 @@ impl Validity {
         &self.behind
     }
 
+    /// Those of some slots, ascending.
+    pub(super) fn behind_of(&self, slots: &Range<u32>) -> &[u32] {
+        part_of(&self.behind, slots)
+    }
+
     /// Tests the elements of `ranges` and those within `bounds` anew, keeps the rest of `old`.
     pub(super) fn updated(old: &Validity, world: &World, ranges: &[Range<u32>], bounds: &[(Vec3, Vec3)]) -> Validity {
         let is_new = |slot: &u32| ranges.iter().any(|range| range.contains(slot));
@@ -81,9 +86,11 @@ impl Validity {
             if !is_new(&slots.start) && !bounds.iter().any(|b| overlap(b, &own)) {
                 return old.invalid_of(&slots).to_vec();
             }
-            let was_inside = |slot: u32| !old.is_valid(slot as usize) && old.behind.binary_search(&slot).is_err();
-            let is_inside = |&slot: &u32| if is_affected(slot) { is_inside(world, slot) } else { was_inside(slot) };
-            slots.into_par_iter().with_min_len(256).filter(is_inside).collect()
+            // Those behind surfaces stay as they are until they are looked for anew.
+            let is_invalid = |&slot: &u32| {
+                if is_affected(slot) { is_inside(world, slot) } else { !old.is_valid(slot as usize) }
+            };
+            slots.into_par_iter().with_min_len(256).filter(is_invalid).collect()
         };
         let kept = |placed: &Placed, invalid: &[u32]| {
             let slots = &placed.placement.elements;
@@ -127,7 +134,7 @@ impl Validity {
     /// Bytes held.
     pub(super) fn memory_bytes(&self) -> usize {
         let sources: usize = self.fills.iter().map(|fill| fill.sources.capacity()).sum();
-        (self.invalid.capacity() + self.by_target.capacity() + sources) * size_of::<u32>()
+        (self.invalid.capacity() + self.behind.capacity() + self.by_target.capacity() + sources) * size_of::<u32>()
             + self.is_invalid.memory_bytes()
             + self.fills.capacity() * size_of::<Fill>()
     }
@@ -193,11 +200,11 @@ fn part_of<'s>(slots: &'s [u32], range: &Range<u32>) -> &'s [u32] {
 /// Ring by ring from the valid elements of one object, along its surface. Each takes the side that is nearest: the mean of
 /// both sides of a wall would be the light of neither.
 fn fill_object(world: &World, placed: &Placed, validity: &Validity) -> Vec<Fill> {
-    let n = placed.layout.len() as u32;
     let mut fills = Vec::new();
-    for first in placed.sides() {
+    for side in placed.sides() {
+        let first = side.start;
         let neighbours = |slot: u32| placed.layout.neighbours_of(slot - first).iter().map(move |other| first + other);
-        let mut open: BTreeSet<u32> = validity.invalid_of(&(first..first + n)).iter().copied().collect();
+        let mut open: BTreeSet<u32> = validity.invalid_of(&side).iter().copied().collect();
         // How far behind the surface that hides them those are that are filled.
         let mut depths: BTreeMap<u32, f32> = BTreeMap::new();
         loop {
