@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use glam::{DMat4, DVec3, Vec3};
 use rebake_core::layers::Layer;
 use rebake_core::random::Pcg32;
-use rebake_core::scene::{Light, LightKind, Scene};
+use rebake_core::scene::{Light, LightKind, Material, Mesh, Object, Scene};
 use rebake_core::{
     Budget, DragBasis, Edit, LightMap, Observer, Progress, Relight, Unobserved, World, WorldOptions, bake, update,
 };
@@ -305,4 +305,74 @@ fn a_dragged_light_has_frames_near_the_exact_update() {
     }
     let elsewhere = start.apply(&[Edit::Material { object: "back".into(), albedo: Vec3::ZERO }]).expect("paint").after;
     assert!(!basis.fits(&elsewhere));
+}
+
+/// Of a light map with layers, after a crate moved in a room whose lamps were off, and as they come on again.
+#[test]
+fn what_changes_in_the_dark_is_as_good_as_what_changes_in_the_light() {
+    const RUNS: u64 = 6;
+    let start = each_alone(&room(0.2)).apply(&[insert_crate()]).expect("a crate").after;
+    let old = baked(&start, 64, 1);
+    let apply = |(world, map): (&World, &Arc<LightMap>), edits: &[Edit], seed: u64| {
+        let transition = world.apply(edits).expect("edits");
+        let map = update(&transition, map, &budget(16), None, seed, &Unobserved).expect("nobody cancels");
+        (transition.after, map)
+    };
+    let strengths: Vec<(String, f32)> = start.lights().map(|l| (l.light.name.clone(), l.light.intensity)).collect();
+    let relit = |factor: f32| Edit::Relight {
+        lights: (strengths.iter())
+            .map(|(light, was)| Relight { light: light.clone(), color: None, intensity: Some(factor * was) })
+            .collect(),
+    };
+    let moved = Edit::Move { object: "crate".into(), transform: DMat4::from_translation(DVec3::new(0.7, 0.0, 0.3)) };
+    let runs = |edits: &[Edit]| -> (World, Vec<Arc<LightMap>>) {
+        let run = |seed: u64| {
+            let first = (start.clone(), Arc::clone(&old));
+            edits.iter().fold(first, |(world, map), edit| apply((&world, &map), std::slice::from_ref(edit), seed))
+        };
+        let worlds: Vec<_> = (0..RUNS).map(run).collect();
+        (worlds[0].0.clone(), worlds.into_iter().map(|(_, map)| map).collect())
+    };
+    // What is found anew, beside the old map's noise, which all have in common.
+    let noise = |edits: &[Edit]| {
+        let (world, maps) = runs(edits);
+        let mean = |i: usize| maps.iter().map(|m| m.total(i).as_dvec3()).sum::<DVec3>() / RUNS as f64;
+        let square = |i: usize, m: &Arc<LightMap>| (m.total(i).as_dvec3() - mean(i)).powf(2.0);
+        area_mean(&world, |_| true, |i| maps.iter().map(|m| square(i, m)).sum::<DVec3>() / (RUNS - 1) as f64)
+    };
+    let (lit, dark) = (noise(&[moved.clone()]), noise(&[relit(0.0), moved, relit(1.0)]));
+    assert!(dark < 1.5 * lit, "variance of what changes in the dark {dark}, in the light {lit}");
+}
+
+fn insert_crate() -> Edit {
+    let asset = Arc::new(Scene::from_objects(vec![crate_at("c", 0.0, 0.0, Vec3::splat(0.5))]));
+    Edit::Insert { asset, name: "crate".into(), transform: DMat4::from_translation(DVec3::new(1.6, 0.0, 1.5)) }
+}
+
+/// Whether a change outgrows the light that is left is judged at the layer's own scale.
+#[test]
+fn a_single_layer_is_brought_up_to_date_alike_at_any_strength() {
+    let start = each_alone(&world(room_objects(0.7), 0.2));
+    let old = baked(&start, 16, 1);
+    assert_eq!(old.layers.len(), 1);
+    let lamp = start.lights().next().expect("a lamp").light.name.clone();
+    let plate = Object::new(
+        "plate",
+        Mesh::cuboid(Vec3::new(0.2, 1.6, 0.2), Vec3::new(2.8, 1.7, 2.8)),
+        Material::diffuse(Vec3::ONE),
+    );
+    let plate = Edit::Insert {
+        asset: Arc::new(Scene::from_objects(vec![plate])),
+        name: "plate".into(),
+        transform: DMat4::IDENTITY,
+    };
+    let at = |intensity: f32| {
+        let relit = start.apply(&[relight(&lamp, Vec3::ONE, intensity)]).expect("a relight");
+        let map = update(&relit, &old, &budget(8), None, 2, &Unobserved).expect("nobody cancels");
+        let hidden = relit.after.apply(&[plate.clone()]).expect("a plate");
+        update(&hidden, &map, &budget(8), None, 3, &Unobserved).expect("nobody cancels")
+    };
+    let (dim, bright) = (at(1e-3), at(1e3));
+    assert_eq!(dim.layers[0].direct, bright.layers[0].direct);
+    assert_eq!(dim.layers[0].indirect, bright.layers[0].indirect);
 }

@@ -208,4 +208,18 @@ impl World {
         }
         World { emitters: Arc::new(Emitters::of(list, skies, radius)), ..self.clone() }
     }
+
+    /// How much the light of each layer matters where samples are shared out, in a world of [`World::only_layers`]: what it
+    /// weighs, and that of lamps which are off as little as their samples count. Where all are off, all alike.
+    pub(crate) fn guides(&self, weights: &[Vec3]) -> Vec<Vec3> {
+        let least = |layer: usize| {
+            let of_layer = self.emitters.list.iter().find(|emitter| emitter.layer as usize == layer);
+            of_layer.map_or(0.0, |emitter| emitter.importance)
+        };
+        let guide = |(layer, weight): (usize, &Vec3)| {
+            if weight.element_sum() / 3.0 < least(layer) { Vec3::splat(least(layer)) } else { *weight }
+        };
+        let guides: Vec<Vec3> = weights.iter().enumerate().map(guide).collect();
+        if guides.iter().all(|guide| *guide == Vec3::ZERO) { vec![Vec3::ONE; weights.len()] } else { guides }
+    }
 }

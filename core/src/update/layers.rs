@@ -162,7 +162,8 @@ impl Update<'_> {
         };
         let black = || Arc::new(Layer::black(before.slots()));
         let old = origins.into_iter().map(|origin| origin.map_or_else(black, |index| regrouped[index].clone()));
-        let change = Change { transition: &stage, headers, weights: own, old: old.collect() };
+        let guides = stage.after.guides(&own);
+        let change = Change { transition: &stage, headers, weights: own, guides, old: old.collect() };
         with_layers!(changed.len(), run_change(&change, self.transition, self.map, self.goal, self.work, &finish))
     }
 }
@@ -173,8 +174,23 @@ struct Change<'a> {
     transition: &'a Transition,
     headers: Vec<Header>,
     weights: Vec<Vec3>,
+    guides: Vec<Vec3>,
     /// Before the edit, in its slots.
     old: Vec<Arc<Layer>>,
+}
+
+impl Change<'_> {
+    /// All light of a slot before the edit, these layers as they matter. A single layer has its own scale, and so has this.
+    fn around(&self, map: &LightMap, slot: usize) -> Vec3 {
+        let own = |layer: &Layer| layer.direct[slot] + layer.indirect[slot];
+        let factors = self.guides.iter().zip(&self.weights).map(|(guide, weight)| *guide - *weight);
+        let more = self.old.iter().zip(factors).map(|(layer, factor)| own(layer) * factor);
+        let around = map.total(slot) + more.sum::<Vec3>();
+        match (&*self.old, &*self.guides) {
+            ([layer], [scale]) => Vec3::select(scale.cmpgt(Vec3::ZERO), around / *scale, own(layer)),
+            _ => around,
+        }
+    }
 }
 
 /// `map` is the whole map before the edit.
@@ -186,12 +202,13 @@ fn run_change<V: Value>(
     work: &Work,
     finish: &dyn Fn(Computed) -> LightMap,
 ) -> Result<Option<Updated>, Canceled> {
-    let around: Vec<Vec3> = (0..map.len()).into_par_iter().map(|slot| map.total(slot)).collect();
+    let around: Vec<Vec3> = (0..map.len()).into_par_iter().map(|slot| change.around(map, slot)).collect();
     let around = transition.carry(&around);
     let stage = Stage {
         transition: change.transition,
         old: Old::of_layers(&change.old, &map.variance, change.transition),
         weights: weights_within(&change.weights),
+        guides: weights_within(&change.guides),
         around: Some(&around),
         finish: &|layers: Apart| finish(layers.named(&change.headers)),
     };

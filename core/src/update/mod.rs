@@ -98,7 +98,8 @@ fn update_whole(
     work: &Work,
 ) -> Result<Option<Updated>, Canceled> {
     let (old, finish) = (Old::of_map(map, transition), Apart::into_map);
-    let stage = Stage { transition, old, weights: &[Vec3::ONE], around: None, finish: &finish };
+    let (weights, guides) = (&[Vec3::ONE], &[Vec3::ONE]);
+    let stage = Stage { transition, old, weights, guides, around: None, finish: &finish };
     run_stage::<Vec3>(&stage, goal, work)
 }
 
@@ -110,8 +111,10 @@ pub(crate) struct Stage<'a> {
     pub old: Old<'a>,
     /// What each layer weighs in the whole.
     pub weights: &'a [Vec3],
-    /// All light there is before the change, direct + indirect, per slot of the new world; none where it is the old
-    /// light of this stage.
+    /// How much the light of each layer matters where samples are shared out ([`World::guides`]).
+    pub guides: &'a [Vec3],
+    /// All light there is before the change, direct + indirect, per slot of the new world, the layers of this stage as
+    /// they matter; none where it is the old light of this stage.
     pub around: Option<&'a [Vec3]>,
     /// Makes a light map of the layers so far.
     pub finish: &'a dyn Fn(Apart) -> LightMap,
@@ -132,7 +135,7 @@ pub(crate) fn run_stage<V: Value>(stage: &Stage, goal: &Goal, work: &Work) -> Re
                 return Ok(());
             }
         }
-        baker.get_or_init(|| Baker::new(world, weights, seed, work)).round(r, out)
+        baker.get_or_init(|| Baker::new(world, stage.guides, seed, work)).round(r, out)
     };
     let compose = |s: &Accumulator<V>| {
         finish(match (baker.get(), &first) {

@@ -82,9 +82,9 @@ impl<V: Value> Change<'_, V> {
 
 impl<V: Value> Change<'_, V> {
     /// How much the light has changed that leaves an element, over a usual albedo, mean over RGB.
-    fn amounts(&self, world: &World, weights: &[Vec3]) -> Vec<f32> {
+    fn amounts(&self, world: &World, guides: &[Vec3]) -> Vec<f32> {
         let amount = |light: Vec3| light.abs().element_sum() / 3.0;
-        let of_light = |light: &V| amount(light.weighted(weights));
+        let of_light = |light: &V| amount(light.weighted(guides));
         let mut amounts: Vec<f32> = self.seen_by_old.par_iter().with_min_len(CHUNK).map(of_light).collect();
         let Some((repaint, light)) = self.repainted else { return amounts };
         for placed in &world.placed {
@@ -98,7 +98,7 @@ impl<V: Value> Change<'_, V> {
             };
             for (elements, change) in placed.layout.of_cells(&placed.surface, of_cell) {
                 for slot in placed.sides().flat_map(|side| elements.map(|element| (side.start + element) as usize)) {
-                    let reflected = amount(light[slot].weighted(weights) * change) / ALBEDO;
+                    let reflected = amount(light[slot].weighted(guides) * change) / ALBEDO;
                     amounts[slot] = amounts[slot].max(reflected);
                 }
             }
@@ -143,10 +143,10 @@ impl<V: Value> Updater<'_, V> {
     ) -> Result<Vec<V>, Canceled> {
         let world = self.world;
         let samples = (round.samples * 2).clamp(PROPAGATION_SAMPLES.0, PROPAGATION_SAMPLES.1);
-        let amounts = change.amounts(world, self.stage.weights);
+        let amounts = change.amounts(world, self.stage.guides);
         let samples = (f64::from(samples) * self.weight_of(&amounts)).ceil() as u32;
         let Aims { spots, allotment } = self.aims.get_or_init(|| Aims {
-            spots: Spots::of_change(world, &change.seen_by_old, self.stage.weights),
+            spots: Spots::of_change(world, &change.seen_by_old, self.stage.guides),
             allotment: Allotment::new(world, &self.subset, &amounts),
         });
         let seed = subseed(round.seed, 0x9409);

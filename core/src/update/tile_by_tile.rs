@@ -51,7 +51,7 @@ impl<V: Value> Updater<'_, V> {
     /// Per slot how soon its turn comes; infinite where it does not come before the rest.
     fn keys(&self, focus: Option<&Focus>) -> Vec<f32> {
         let world = self.world;
-        let light = |v: &V| v.weighted(self.stage.weights).max_element();
+        let light = |v: &V| v.weighted(self.stage.guides).max_element();
         let brightest = self.before_total.iter().map(light).fold(0.0, f32::max).max(f32::MIN_POSITIVE);
         let places = places(self.transition, brightest);
         let mut keys = match focus {

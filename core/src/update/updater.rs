@@ -177,18 +177,18 @@ impl<'a, V: Value> Updater<'a, V> {
 
     /// Where to aim at light that is not to be missed; `light` is all of it.
     pub(super) fn spots_of_light(&self, light: &[V]) -> Option<&Spots> {
-        self.spots.get_or_init(|| Spots::of_map(self.world, light, self.stage.weights)).as_ref()
+        self.spots.get_or_init(|| Spots::of_map(self.world, light, self.stage.guides)).as_ref()
     }
 
     /// Whether the change is so large beside the light that is left that a bake is the better update (design, section 3.9):
     /// what the subset gets wrong of it would show. The new rows' own light is no change.
     pub(super) fn outgrows_the_light(&self, Estimate { direct, indirect }: &Estimate<V>) -> bool {
-        let (areas, weights, light) = (self.world.areas(), self.stage.weights, self.light.borrow());
+        let (areas, guides, light) = (self.world.areas(), self.stage.guides, self.light.borrow());
         let (mut change, mut left) = (0.0f64, 0.0f64);
         for &slot in &self.static_rows {
             let slot = slot as usize;
-            let delta = (direct[slot] + indirect[slot]).weighted(weights);
-            let then = self.stage.around.map_or_else(|| light[slot].weighted(weights), |a| a[slot]) + delta;
+            let delta = (direct[slot] + indirect[slot]).weighted(guides);
+            let then = self.stage.around.map_or_else(|| light[slot].weighted(guides), |a| a[slot]) + delta;
             change += f64::from(areas[slot]) * f64::from(delta.length_squared());
             left += f64::from(areas[slot]) * f64::from(then.length_squared());
         }
