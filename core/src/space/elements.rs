@@ -43,8 +43,8 @@ struct Mesh<'m> {
     triangles: &'m [[u32; 3]],
 }
 
-/// A third of the area of the triangles at each vertex, m². Vertices between cells that rounding has flattened have next
-/// to none, but are no holes.
+/// A third of the area of the triangles at each vertex, m². Vertices between cells that rounding has flattened have
+/// next to none, but are no holes.
 fn areas(mesh: &Mesh) -> Vec<f32> {
     let mut areas = vec![0.0_f64; mesh.positions.len()];
     for triangle in mesh.triangles {

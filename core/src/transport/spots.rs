@@ -1,6 +1,6 @@
 //! Bright spots: few cells that send out much of all light, such as what a lamp near a wall, or the sun through a
-//! window, lights. Directions towards them are sampled along with those by the cosine, which seldom find them, and both are
-//! combined by the balance heuristic (Veach and Guibas 1995; design, section 3.4). The light of an update is a change and
+//! window, lights. Directions towards them are sampled along with those by the cosine, which seldom find them, and both
+//! are combined by the balance heuristic (Veach and Guibas 1995). The light of an update is a change and
 //! its spots may be dark ones.
 
 use std::f32::consts::PI;

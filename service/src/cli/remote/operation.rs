@@ -159,7 +159,7 @@ impl Operation {
         }
     }
 
-    /// The edit as api.md describes it; `uploaded` is the id of [`Operation::asset_file`].
+    /// The edit as the API takes it (`openapi/openapi.json`); `uploaded` is the id of [`Operation::asset_file`].
     pub(super) fn json(&self, uploaded: Option<String>) -> Value {
         match self {
             Operation::Insert { asset, name, place } => {
