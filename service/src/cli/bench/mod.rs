@@ -146,7 +146,8 @@ struct PictureArgs {
     #[arg(long, requires = "pictures")]
     camera: Option<String>,
     /// Pictures: pixels across and down
-    #[arg(long, value_name = "WxH", default_value = "480x360", value_parser = super::render::size, requires = "pictures")]
+    #[arg(long, value_name = "WxH", default_value = "480x360", value_parser = super::render::size,
+        requires = "pictures")]
     picture_size: (u32, u32),
     /// Pictures: samples per pixel
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..),

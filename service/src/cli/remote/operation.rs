@@ -96,10 +96,12 @@ pub(super) struct NewLight {
     #[arg(long, value_parser = ["point", "spot", "directional", "environment"])]
     kind: String,
     /// Metres
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, required_if_eq_any([("kind", "point"), ("kind", "spot")]))]
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true,
+        required_if_eq_any([("kind", "point"), ("kind", "spot")]))]
     position: Option<Point>,
     /// Where it shines
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, required_if_eq_any([("kind", "spot"), ("kind", "directional")]))]
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true,
+        required_if_eq_any([("kind", "spot"), ("kind", "directional")]))]
     direction: Option<Point>,
     /// Spot: full intensity up to this angle from the direction
     #[arg(long, value_name = "DEGREES", value_parser = not_negative)]
