@@ -33,7 +33,7 @@ const CHUNK: usize = 32;
 struct Entry {
     /// Row of the matrix; `NONE` where the path left or ended at what is not among the rows.
     row: u32,
-    /// Slot of an element of the triangle that it ended on, drawn by barycentric weight; `NONE` where it left.
+    /// Slot of an element of the cell that it ended on, drawn by barycentric weight; `NONE` where it left.
     element: u32,
     /// Product of the albedos on the way.
     weight: Vec3,

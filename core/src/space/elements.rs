@@ -36,7 +36,7 @@ pub(super) fn sample_points(positions: &[Vec3], normals: &[Vec3], triangles: &[[
     result
 }
 
-/// A subdivided surface.
+/// A subdivided surface: its vertices are the elements, its triangles the cells.
 struct Mesh<'m> {
     positions: &'m [Vec3],
     normals: &'m [Vec3],

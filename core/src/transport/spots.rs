@@ -318,7 +318,7 @@ mod tests {
         assert!(Spots::of_map(&world, &light(&world, -500.0), &[Vec3::ONE]).is_some());
     }
 
-    /// As often as triangles are aimed at: the density that the balance heuristic knows.
+    /// As often as cells are aimed at: the density that the balance heuristic knows.
     #[test]
     fn densities_are_those_of_the_points() {
         let world = room();
