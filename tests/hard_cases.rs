@@ -1,10 +1,10 @@
-//! The hard cases of the design as a suite that prints figures:
+//! Hard cases as a suite that prints figures:
 //! `cargo bench -p rebake-tests --bench hard_cases [-- PART-OF-A-NAME] [--quick]`.
 //!
-//! Per case: the error of an update of 64 samples (RMSE against path tracing, whose own noise is taken out, over the mean
-//! light), how well that is known, what is stated, the mean over the true one, rays per element, the error of a bake of as many samples, and that
-//! of the published iteration (Lu et al. 2025) after 4 and after 16 steps. Medians of three seeds. `tests/oracle` holds the
-//! same kinds of cases to bounds.
+//! Per case: the error of an update of 64 samples (RMSE against path tracing, whose own noise is taken out, over the
+//! mean light), how well that is known, what is stated, the mean over the true one, rays per element, the error of a
+//! bake of as many samples, and that of the published iteration (Lu et al. 2025) after 4 and after 16 steps. Medians of
+//! three seeds. `tests/oracle` holds the same kinds of cases to bounds.
 #![allow(clippy::print_stdout)]
 
 #[path = "hard_cases/cases.rs"]

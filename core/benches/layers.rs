@@ -1,14 +1,14 @@
 //! What light layers cost: `cargo bench -p rebake-core --bench layers [-- SCENES]`.
 //!
-//! Scenes: `room`, a closed room of 6 × 3 × 6 m with 16 lamps in a grid below its ceiling and some boxes; `cornell-box`,
-//! with two lamps more; `living-room-2`, with its four lights; and `million`, the room at a million elements, for relights
-//! only. All of them where none is named. `room=0.05` sets the distance between elements in metres, `scenes=FOLDER` where
-//! the files of the others are; those that are not there are passed over.
+//! Scenes: `room`, a closed room of 6 × 3 × 6 m with 16 lamps in a grid below its ceiling and some boxes;
+//! `cornell-box`, with two lamps more; `living-room-2`, with its four lights; and `million`, the room at a million
+//! elements, for relights only. All of them where none is named. `room=0.05` sets the distance between elements in
+//! metres, `scenes=FOLDER` where the files of the others are; those that are not there are passed over.
 //!
-//! Prints, in alternating runs, the time of a bake and of an insert with some numbers of layers over that with none, and
-//! the time of separate solutions, each with the lights of one layer only, over that of all layers together; the time of a
-//! relight beside that of reading all layers' bytes once; when a bake with the most layers has something to show, and how far
-//! off that is; and the frames per second of a dragged light.
+//! Prints, in alternating runs, the time of a bake and of an insert with some numbers of layers over that with none,
+//! and the time of separate solutions, each with the lights of one layer only, over that of all layers together; the
+//! time of a relight beside that of reading all layers' bytes once; when a bake with the most layers has something to
+//! show, and how far off that is; and the frames per second of a dragged light.
 #![allow(clippy::print_stdout)]
 
 use std::hint::black_box;
@@ -127,7 +127,8 @@ impl Observer for First {
     }
 }
 
-/// Prints when the first picture of a bake comes, with an estimate before the first round and without, and how far off it is.
+/// Prints when the first picture of a bake comes, with an estimate before the first round and without, and how far off
+/// it is.
 fn first_picture(world: &World) {
     let converged =
         bake(world, &Budget { samples_per_element: 64, ..BUDGET }, 99, &Unobserved).expect("nobody cancels");
@@ -154,7 +155,8 @@ fn first_picture(world: &World) {
         world.area_mean((0..world.slots()).filter(|&slot| world.is_valid(slot)), square).sqrt()
     };
     println!(
-        "first picture: after {:.3} s with RMSE {:.4} ({:.4} without the ambient term), first round after {:.3} s with {:.4}; without an estimate after {:.3} s",
+        "first picture: after {:.3} s with RMSE {:.4} ({:.4} without the ambient term), first round \
+         after {:.3} s with {:.4}; without an estimate after {:.3} s",
         median(&mut with),
         rmse(&|slot| maps[0].total(slot)),
         rmse(&|slot| maps[0].direct[slot]),

@@ -1,7 +1,8 @@
 //! Rays per second through a furnished room, on one thread: `cargo bench --bench rays [-- TRIANGLES]`.
 //!
-//! Closest hits are asked by cosine-distributed rays from surface points, any hits by shadow rays from the same points to
-//! a lamp below the ceiling; points are in spatial order, as the engine takes them. Prints millions of rays per second.
+//! Closest hits are asked by cosine-distributed rays from surface points, any hits by shadow rays from the same points
+//! to a lamp below the ceiling; points are in spatial order, as the engine takes them. Prints millions of rays per
+//! second.
 #![allow(clippy::print_stdout)]
 
 use glam::{Mat3, Vec3};

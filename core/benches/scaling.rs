@@ -1,9 +1,10 @@
 //! What a scene's size costs: `cargo bench -p rebake-core --bench scaling [-- SPACING]`.
 //!
-//! A house of closed rooms of 6 × 3 × 6 m, side by side, each with boxes and a lamp; a box is put into the first. Prints, for
-//! 1, 2 and 4 rooms: elements and triangles; bytes of the scene and its light map, over what 200 bytes per element and 150 per
-//! triangle would be; and how long after the edit the first map comes and the last one of 16 samples, without a focus and with
-//! a sphere of a metre around the edit, over what that is with one room. Runs alternate; the median counts.
+//! A house of closed rooms of 6 × 3 × 6 m, side by side, each with boxes and a lamp; a box is put into the first.
+//! Prints, for 1, 2 and 4 rooms: elements and triangles; bytes of the scene and its light map, over what 200 bytes per
+//! element and 150 per triangle would be; and how long after the edit the first map comes and the last one of 16
+//! samples, without a focus and with a sphere of a metre around the edit, over what that is with one room. Runs
+//! alternate; the median counts.
 #![allow(clippy::print_stdout)]
 
 use std::sync::{Arc, Mutex};
@@ -61,7 +62,8 @@ fn main() {
         let (elements, triangles) = (house.world.element_count(), house.world.triangle_count());
         let bytes = house.world.memory_bytes() + house.map.memory_bytes();
         println!(
-            "{rooms} rooms: {elements} elements, {triangles} triangles; {} bytes per element, triangles included, {:.2} of 200 per element and 150 per triangle",
+            "{rooms} rooms: {elements} elements, {triangles} triangles; {} bytes per element, triangles included, {:.2} \
+             of 200 per element and 150 per triangle",
             bytes / elements,
             bytes as f64 / (200 * elements + 150 * triangles) as f64
         );

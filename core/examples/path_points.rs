@@ -1,8 +1,8 @@
 //! `cargo run --release --example path_points -- FOLDER [PATHS]`: a furnished room and its path-traced light at some
 //! thousand elements, for an independent renderer to compare with (tests/mitsuba).
 //!
-//! Writes `scene.glb` and `points.f32`: per element little-endian f32 position, normal, direct, indirect (irradiance / π,
-//! RGB), variance of their sum (RGB), 15 numbers.
+//! Writes `scene.glb` and `points.f32`: per element little-endian f32 position, normal, direct, indirect (irradiance /
+//! π, RGB), variance of their sum (RGB), 15 numbers.
 #![allow(clippy::print_stdout)]
 
 use std::error::Error;

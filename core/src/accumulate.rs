@@ -116,9 +116,9 @@ impl<V: Value> Accumulator<V> {
     }
 
     /// Variance of the mean of what is stated, mean over RGB: with rounds x_r of n_r samples and variance σ²/n_r,
-    /// Σ n_r (x_r − x̄)² / (R − 1) estimates σ², and the mean has σ² / Σ n_r. Low-discrepancy samples do better than 1/n:
-    /// the whole is scaled to what the last round and those before it, which weigh most, say. Of one round it is guessed, where
-    /// [`Accumulator::guess_variance`] was asked; else zero while nothing is known.
+    /// Σ n_r (x_r − x̄)² / (R − 1) estimates σ², and the mean has σ² / Σ n_r. Low-discrepancy samples do better than
+    /// 1/n: the whole is scaled to what the last round and those before it, which weigh most, say. Of one round it is
+    /// guessed, where [`Accumulator::guess_variance`] was asked; else zero while nothing is known.
     pub(crate) fn scatter(&self) -> Scatter<'_> {
         if let Some((whole, layers)) = &self.guess {
             let layers = if self.weights.len() > 1 { layers } else { whole };

@@ -25,8 +25,8 @@ const MOST_ALBEDO: f32 = 0.995;
 /// Slots per task.
 const CHUNK: usize = 4096;
 
-/// Direct light with the ambient term as all the indirect light there is. `direct` is irradiance / π per slot, filled in
-/// solids too.
+/// Direct light with the ambient term as all the indirect light there is. `direct` is irradiance / π per slot, filled
+/// in for invalid elements too.
 pub(crate) fn with_ambient<V: Value>(
     world: &World,
     direct: Vec<V>,
@@ -40,8 +40,9 @@ pub(crate) fn with_ambient<V: Value>(
     Ok(Stack { direct, indirect, ..Stack::black(world.slots(), layers) })
 }
 
-/// irradiance / π of all bounces of `direct`, were every element to see what elements see on average: light `u` sent back at
-/// the first bounce, surfaces of albedo `a` (0 where there is none, black and open alike), `u / (1 − a)` after all.
+/// irradiance / π of all bounces of `direct`, were every element to see what elements see on average: light `u` sent
+/// back at the first bounce, surfaces of albedo `a` (0 where there is none, black and open alike), `u / (1 − a)` after
+/// all.
 fn ambient<V: Value>(world: &World, direct: &[V], seed: u64, work: &Work) -> Result<V, Canceled> {
     let slots = world.computed_slots();
     let slots: Vec<u32> = slots.iter().copied().step_by(slots.len().div_ceil(ELEMENTS).max(1)).collect();

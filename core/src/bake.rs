@@ -167,7 +167,8 @@ impl<'a> Baker<'a> {
         Ok(last.map(|(stack, samples)| First::evenly(stack, &is_seen, samples)))
     }
 
-    /// Shows what is known of direct light beforehand, with an ambient term for the rest, before anything else is known.
+    /// Shows what is known of direct light beforehand, with an ambient term for the rest, before anything else is
+    /// known.
     fn show_estimate<V: Value>(
         &self,
         round: &Round<V>,
@@ -196,8 +197,8 @@ impl<'a> Baker<'a> {
         self.round_at(round, &self.slots, out)
     }
 
-    /// One independent estimate of direct and indirect light. Indirect light is gathered in some slots only; elsewhere it is
-    /// that of the solution on the subset.
+    /// One independent estimate of direct and indirect light. Indirect light is gathered in some slots only; elsewhere
+    /// it is that of the solution on the subset.
     fn round_at<V: Value>(&self, round: &Round<V>, wanted: &[u32], out: &mut Estimate<V>) -> Result<(), Canceled> {
         let (world, work) = (self.world, self.work);
         out.blacken(world.slots());
@@ -222,8 +223,8 @@ impl<'a> Baker<'a> {
         (round.begin)(Pass::FinalGather, 0.4);
         work.add(wanted, indirect, gathered(world, &source, round.samples, &effort, round.seed))?;
         drop(source);
-        // The gather is better than the solution that it looked up: at all elements, not on a subset. What it found anew
-        // has bounces of its own.
+        // The gather is better than the solution that it looked up: at all elements, not on a subset. What it found
+        // anew has bounces of its own.
         let mut residual = total;
         blacken(&mut residual, world.slots());
         for_slots(wanted, &mut residual, |slot, r| *r = indirect[slot as usize] - bounces[slot as usize]);

@@ -42,8 +42,8 @@ impl std::fmt::Debug for DragBasis {
 }
 
 impl DragBasis {
-    /// Samples the transport of a world, at the representatives of smooth light only: a tenth of the time of a bake of 16
-    /// samples per element (`benches/layers.rs`).
+    /// Samples the transport of a world, at the representatives of smooth light only: a tenth of the time of a bake of
+    /// 16 samples per element (`benches/layers.rs`).
     pub fn new(world: &World, seed: u64, observer: &dyn Observer) -> Result<DragBasis, Canceled> {
         let subset = Subset::new(world);
         let rows = Arc::new(Rows::all(&subset));

@@ -78,7 +78,8 @@ pub enum Edit {
     /// Lets lights share a layer of the light map ([`crate::layers`]), whose colour and intensity then change together
     /// without rays.
     GroupLights {
-        /// Name of the layer; without it the lights belong to no group any more, and stay in the layer that they are in.
+        /// Name of the layer; without it the lights belong to no group any more, and stay in the layer that they are
+        /// in.
         group: Option<String>,
         /// Names of lights.
         lights: Vec<String>,

@@ -16,7 +16,8 @@ pub(crate) struct Estimate<V> {
 }
 
 impl<V: Value> Estimate<V> {
-    /// No light in so many slots, in the memory that is there: fresh memory takes longer than most of what is done with it.
+    /// No light in so many slots, in the memory that is there: fresh memory takes longer than most of what is done with
+    /// it.
     pub(crate) fn blacken(&mut self, slots: usize) {
         blacken(&mut self.direct, slots);
         blacken(&mut self.indirect, slots);

@@ -46,9 +46,9 @@ impl Focus {
         (0..world.slots()).into_par_iter().with_min_len(256).map(|i| world.areas()[i] > 0.0 && test(i)).collect()
     }
 
-    /// Per element slot how soon its turn comes, the less the sooner; infinite where nobody looks. From a camera it is the
-    /// Chebyshev distance in the picture, in half heights, from the nearest of the places where something changed; from
-    /// the picture's middle where there are none. In a sphere it is the distance from its middle in metres.
+    /// Per element slot how soon its turn comes, the less the sooner; infinite where nobody looks. From a camera it is
+    /// the Chebyshev distance in the picture, in half heights, from the nearest of the places where something changed;
+    /// from the picture's middle where there are none. In a sphere it is the distance from its middle in metres.
     pub(crate) fn keys(&self, world: &World, places: &[Place]) -> Vec<f32> {
         let key: Box<dyn Fn(usize) -> f32 + Sync> = match self.view(world.scene.origin) {
             View::Sphere { middle, .. } => Box::new(move |i| world.positions()[i].distance(middle)),

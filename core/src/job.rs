@@ -86,8 +86,8 @@ pub trait Observer: Sync {
         proposed
     }
 
-    /// Whether what comes first ([`crate::Importance`]) is to be left as far as it is, and the rest done: asked before each
-    /// of its rounds. A tile that is not done yet keeps its old light until then.
+    /// Whether what comes first ([`crate::Importance`]) is to be left as far as it is, and the rest done: asked before
+    /// each of its rounds. A tile that is not done yet keeps its old light until then.
     fn leaves_first(&self) -> bool {
         false
     }
@@ -97,8 +97,9 @@ pub trait Observer: Sync {
         false
     }
 
-    /// A first picture of a bake, before its first round is done: direct light, and one ambient term per layer for all light
-    /// that has not been distributed yet. It is to be shown, and nothing else: what the bake gives does not depend on it.
+    /// A first picture of a bake, before its first round is done: direct light, and one ambient term per layer for all
+    /// light that has not been distributed yet. It is to be shown, and nothing else: what the bake gives does not
+    /// depend on it.
     fn estimate(&self, _map: &Arc<LightMap>, _progress: &Progress) {}
 
     /// A consistent light map, better than the one before. Cheap: the map is shared.

@@ -8,7 +8,8 @@ use std::path::Path;
 /// Top-level modules, each with those that its paths name.
 type Graph = BTreeMap<String, BTreeSet<String>>;
 
-/// The top-level modules that the paths from the crate's root in `text` begin with; comments and unit tests do not count.
+/// The top-level modules that the paths from the crate's root in `text` begin with; comments and unit tests do not
+/// count.
 fn named_in(text: &str) -> BTreeSet<String> {
     let text = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
     let code: String = text.lines().filter(|line| !line.trim_start().starts_with("//")).collect();

@@ -1,13 +1,13 @@
-//! Spatial order: points along a Hilbert curve, so that what is computed one after the other lies side by side and rays meet
-//! the same part of the tree.
+//! Spatial order: points along a Hilbert curve, so that what is computed one after the other lies side by side and rays
+//! meet the same part of the tree.
 
 use glam::Vec3;
 
 /// Bits per axis.
 const BITS: u32 = 12;
 
-/// Indices of points in their order along the curve through a cube around all of them; ties go by the index, so that the
-/// order is the same in every run.
+/// Indices of points in their order along the curve through a cube around all of them; ties go by the index, so that
+/// the order is the same in every run.
 pub(crate) fn along_curve(points: &[Vec3]) -> Vec<u32> {
     let grid = Grid::new(points);
     let mut keys: Vec<(u64, u32)> = points.iter().map(|p| grid.key(*p)).zip(0..).collect();

@@ -1,5 +1,5 @@
-//! A light map that is right made more accurate: averaged with fresh bakes, by variance. What many edits have left behind
-//! of noise and bias fades, and idle time is of use.
+//! A light map that is right made more accurate: averaged with fresh bakes, by variance. What many edits have left
+//! behind of noise and bias fades, and idle time is of use.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -50,7 +50,8 @@ pub(crate) struct Goal<'a> {
     pub seed: u64,
     /// An estimate may be shown before the first round: there is no light to be shown yet.
     pub estimates: bool,
-    /// A first round states the error that it is guessed to have. What is averaged by its variance waits until it is known.
+    /// A first round states the error that it is guessed to have. What is averaged by its variance waits until it is
+    /// known.
     pub guesses: bool,
 }
 
@@ -159,8 +160,8 @@ impl Rounds<'_> {
         Ok(Some(sum))
     }
 
-    /// Runs them. `round` writes one independent estimate over the one before it, `compose` makes a light map of all, `stated`
-    /// tells its error, `enough` whether more rounds are of no use.
+    /// Runs them. `round` writes one independent estimate over the one before it, `compose` makes a light map of all,
+    /// `stated` tells its error, `enough` whether more rounds are of no use.
     pub(crate) fn run<V: Value>(
         &self,
         stated: impl Fn(&LightMap) -> Option<f32>,

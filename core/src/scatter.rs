@@ -1,5 +1,6 @@
-//! Variance of a light map from one round alone: from how values scatter about those of their neighbours. Light is smooth along
-//! a surface but for the edges of shadows, noise is not; so a first map knows its error, too, until more rounds tell it.
+//! Variance of a light map from one round alone: from how values scatter about those of their neighbours. Light is
+//! smooth along a surface but for the edges of shadows, noise is not; so a first map knows its error, too, until more
+//! rounds tell it.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -9,9 +10,9 @@ use crate::world::World;
 /// Elements per task.
 const CHUNK: usize = 1024;
 
-/// Per slot: variance of some light, mean over RGB; zero where no element is computed. An element's distance from the mean of
-/// its k valid neighbours has (1 + 1/k) times the variance, whatever the gradient; the mean over itself and its neighbours
-/// is taken.
+/// Per slot: variance of some light, mean over RGB; zero where no element is computed. An element's distance from the
+/// mean of its k valid neighbours has (1 + 1/k) times the variance, whatever the gradient; the mean over itself and its
+/// neighbours is taken.
 pub(crate) fn scatter_of_neighbours(world: &World, light: impl Fn(usize) -> Vec3 + Sync) -> Vec<f32> {
     let mut variance = vec![0.0; world.slots()];
     let is_valid = |slot: usize| world.is_valid(slot);
@@ -66,8 +67,8 @@ mod tests {
         let found = scatter_of_neighbours(&world, |slot| light[slot]);
         let mean = found.iter().map(|v| f64::from(*v)).sum::<f64>() / found.len() as f64;
         let truth = 0.2 * 0.2 / 12.0;
-        // A uniform number's square has a relative deviation of √(4/5); three channels of so many elements, of which seven
-        // share a neighbourhood.
+        // A uniform number's square has a relative deviation of √(4/5); three channels of so many elements, of which
+        // seven share a neighbourhood.
         let deviation = (0.8 / (3.0 * found.len() as f64 / 7.0)).sqrt();
         assert!((mean / truth - 1.0).abs() < 5.0 * deviation, "{mean} for {truth}, +- {deviation}");
     }

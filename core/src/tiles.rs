@@ -74,8 +74,8 @@ pub(crate) struct Place {
 }
 
 impl Place {
-    /// Bound on the change of light at a point, up to that factor: form factor to the sphere × largest change. Zero where
-    /// the sphere is below the horizon.
+    /// Bound on the change of light at a point, up to that factor: form factor to the sphere × largest change. Zero
+    /// where the sphere is below the horizon.
     pub(crate) fn bound(&self, point: Vec3, normal: Vec3) -> f32 {
         let to = self.middle - point;
         if normal.dot(to) <= -self.radius {

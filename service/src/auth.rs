@@ -135,9 +135,9 @@ fn parse(text: &str) -> Result<Vec<Token>, TokenError> {
     if tokens.is_empty() { Err(TokenError::Empty) } else { Ok(tokens) }
 }
 
-/// Whether the host of `authority` is this machine, the address `own` holds that the service listens on, or another name
-/// in `own`; `*` in it means all. Where the service listens on all addresses it answers to every one of them, since what
-/// names an address was not resolved by anybody's name server.
+/// Whether the host of `authority` is this machine, the address `own` holds that the service listens on, or another
+/// name in `own`; `*` in it means all. Where the service listens on all addresses it answers to every one of them,
+/// since what names an address was not resolved by anybody's name server.
 pub(crate) fn is_own_host(authority: &str, own: &[String]) -> bool {
     let Ok(authority) = authority.parse::<Authority>() else { return false };
     let host = authority.host().trim_start_matches('[').trim_end_matches([']', '.']);

@@ -1,9 +1,10 @@
 //! Threads that compute. Async threads only wait for them.
 //!
 //! Every job slot has a rayon pool of its own, beside one for building worlds (uploads, fresh trees), one for pictures
-//! and one for short tasks (applying edits, encoding answers). In one shared pool a worker that waits for its part of one bake picks up the next task of the
-//! injector, which may be the whole of another bake, and sits on the first one until that is over: time budgets and
-//! cancels would depend on strangers. Between pools the operating system shares the cores fairly.
+//! and one for short tasks (applying edits, encoding answers). In one shared pool a worker that waits for its part of
+//! one bake picks up the next task of the injector, which may be the whole of another bake, and sits on the first one
+//! until that is over: time budgets and cancels would depend on strangers. Between pools the operating system shares
+//! the cores fairly.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};

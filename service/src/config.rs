@@ -79,7 +79,8 @@ pub struct Limits {
     pub subdivided_triangles: usize,
     /// Elements of a scene.
     pub elements: usize,
-    /// Bytes of memory of all scenes, assets and uploads under way together; one that would not fit is refused before it is built.
+    /// Bytes of memory of all scenes, assets and uploads under way together; one that would not fit is refused before
+    /// it is built.
     pub memory_bytes: u64,
     /// Scenes.
     pub scenes: usize,

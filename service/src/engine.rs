@@ -135,8 +135,8 @@ pub(crate) fn build(scene: Scene, spacing: Option<f32>, stated: Stated, limits: 
     World::new(scene, &options)
 }
 
-/// A world without anything in it: what is shown of a scene that cannot be built. A spacing that no world can have, as a
-/// damaged record tells it, gives way to 1 m.
+/// A world without anything in it: what is shown of a scene that cannot be built. A spacing that no world can have, as
+/// a damaged record tells it, gives way to 1 m.
 pub(crate) fn empty_world(spacing: f32) -> World {
     let spacing = if spacing.is_finite() && spacing > 0.0 { spacing } else { 1.0 };
     let scene = Scene::from_objects(Vec::new());

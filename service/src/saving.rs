@@ -45,8 +45,8 @@ impl App {
         });
     }
 
-    /// Saves all light at the end of the service, so that every version that was given can be resumed, and closes what is
-    /// kept.
+    /// Saves all light at the end of the service, so that every version that was given can be resumed, and closes what
+    /// is kept.
     pub(crate) fn save_all(&self) {
         if !self.store.is_durable() {
             return;

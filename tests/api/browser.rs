@@ -1,8 +1,8 @@
 //! The page in a real browser: `viewer/test/browser.mjs` drives it, this starts and restarts the service under it.
 //!
-//! Needs Node, Chromium and the page's packages. `viewer/test/setup.sh` gets what is missing, and the test is skipped, with
-//! the reason, where it cannot. `REBAKE_BROWSER=as-is` installs nothing, `REBAKE_BROWSER=required` fails instead of
-//! skipping. Screenshots are left in `viewer/screenshots`.
+//! Needs Node, Chromium and the page's packages. `viewer/test/setup.sh` gets what is missing, and the test is skipped,
+//! with the reason, where it cannot. `REBAKE_BROWSER=as-is` installs nothing, `REBAKE_BROWSER=required` fails instead
+//! of skipping. Screenshots are left in `viewer/screenshots`.
 
 use std::fs::{File, TryLockError};
 use std::io::{BufRead, BufReader, Write};

@@ -23,16 +23,19 @@ async fn every_kind_of_edit_is_accepted_and_lit() {
         json!({ "op": "relight", "lights": [{ "light": "lamp", "color": [1, 0.5, 0.5], "intensity": 30 }],
             "focus": { "camera": 0, "width": 640, "height": 480 } }),
         json!({ "op": "insert_light", "name": "lamp-2", "light": lamp,
-            "focus": { "eye": [2, 1, 3], "target": [2, 1, 0], "fov_y": 1.2 }, "tiles": { "mode": "incremental", "size": 64 } }),
+            "focus": { "eye": [2, 1, 3], "target": [2, 1, 0], "fov_y": 1.2 },
+            "tiles": { "mode": "incremental", "size": 64 } }),
         json!({ "op": "insert_light", "name": "spot", "light": spot }),
         json!({ "op": "insert_light", "name": "sun", "light": sun, "budget": { "max_seconds": 5 } }),
-        json!({ "op": "insert_light", "name": "sky", "light": { "kind": "environment", "color": [1, 1, 1], "intensity": 1 } }),
+        json!({ "op": "insert_light", "name": "sky", "light": { "kind": "environment", "color": [1, 1, 1],
+            "intensity": 1 } }),
         json!({ "op": "move_light", "light": "lamp-2", "position": [1, 2.5, 1], "tiles": { "samples": 2 } }),
         json!({ "op": "remove_light", "light": "lamp-2" }),
         json!({ "op": "remove", "objects": ["crate-1"], "budget": { "target_rmse": 10.0 } }),
         json!({ "edits": [
             { "op": "insert", "asset": asset, "name": "a", "transform": translation(2.0, 0.01, 2.0) },
-            { "op": "move", "object": "a", "transform": translation(3.0, 0.01, 2.0), "budget": { "samples_per_element": 4 } },
+            { "op": "move", "object": "a", "transform": translation(3.0, 0.01, 2.0),
+              "budget": { "samples_per_element": 4 } },
         ] }),
     ];
     let mut version = scene["version"].as_u64().unwrap();

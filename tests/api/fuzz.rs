@@ -52,7 +52,8 @@ fn edits() -> Vec<Vec<u8>> {
         json!({ "op": "material", "object": "room", "albedo": [0.1, 0.2, 0.3], "budget": { "max_seconds": 0.01 } }),
         json!({ "op": "relight", "lights": [{ "light": "lamp", "color": [1, 0.5, 0.5], "intensity": 30 }] }),
         json!({ "op": "insert_light", "name": "l", "light": lamp, "priority": "low" }),
-        json!({ "op": "move_light", "light": "lamp", "position": [1, 2.5, 1], "focus": { "point": [0, 0, 0], "radius": 1 } }),
+        json!({ "op": "move_light", "light": "lamp", "position": [1, 2.5, 1],
+            "focus": { "point": [0, 0, 0], "radius": 1 } }),
         json!({ "edits": [{ "op": "remove_light", "light": "lamp" }, { "op": "remove", "objects": ["cupboard"] }] }),
     ];
     edits.iter().map(|edit| edit.to_string().into_bytes()).collect()

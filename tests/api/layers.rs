@@ -28,7 +28,8 @@ fn two_lamps_glb() -> Vec<u8> {
 }
 
 fn relight(light: &str, intensity: f64) -> Value {
-    json!({ "op": "relight", "lights": [{ "light": light, "intensity": intensity }], "budget": { "samples_per_element": 4 } })
+    json!({ "op": "relight", "lights": [{ "light": light, "intensity": intensity }],
+        "budget": { "samples_per_element": 4 } })
 }
 
 /// Posts an edit and waits for its light; answers the job and the scene.
@@ -177,7 +178,10 @@ async fn who_follows_a_layer_has_it_bit_for_bit() {
     let scene = two_lamps(&server, "&layers=each").await;
     let (mut follower, mut whole) = (Follower::default(), Follower::default());
     let mut stream = open(&server, &scene, "since=0&follow=true&layer=lamp-2").await;
-    let paint = |albedo: f64| json!({ "op": "material", "object": "room", "albedo": [albedo, albedo, albedo], "budget": { "samples_per_element": 4 } });
+    let paint = |albedo: f64| {
+        json!({ "op": "material", "object": "room", "albedo": [albedo, albedo, albedo],
+            "budget": { "samples_per_element": 4 } })
+    };
     let insert = json!({ "op": "insert", "asset": asset, "name": "a", "transform": translation(2.0, 0.01, 2.0),
         "budget": { "samples_per_element": 4 } });
     let later = [paint(0.3), relight("lamp-2", 3.0), insert, relight("lamp", 1.0), paint(0.6)];
@@ -299,7 +303,8 @@ async fn uploads_and_edits_that_ask_for_impossible_layers_are_refused() {
     let (_, grouped) =
         edited(&server, &scene, &json!({ "op": "group_lights", "name": "both", "lights": ["lamp", "lamp-2"] })).await;
     assert_eq!(layer_names(&grouped), ["both"]);
-    let both = json!({ "op": "relight", "lights": [{ "light": "lamp", "intensity": 10 }, { "light": "lamp-2", "intensity": 5 }] });
+    let both = json!({ "op": "relight", "lights": [{ "light": "lamp", "intensity": 10 },
+        { "light": "lamp-2", "intensity": 5 }] });
     let (job, dimmed) = edited(&server, &scene, &both).await;
     assert_eq!(job["progress"]["rays"], 0, "both by the same factor");
     assert_adds_up(&server, &dimmed).await;

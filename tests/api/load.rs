@@ -1,5 +1,5 @@
-//! Many clients that follow many scenes while all of them are edited: nothing is lost, memory stays flat, small requests
-//! are answered.
+//! Many clients that follow many scenes while all of them are edited: nothing is lost, memory stays flat, small
+//! requests are answered.
 //!
 //! `REBAKE_LOAD_SECONDS=600 cargo test -p rebake-tests load -- --nocapture` is the long run, with 10 scenes and 100
 //! clients; below a minute there are 3 and 12.

@@ -48,8 +48,8 @@ fn each_alone(world: &World) -> World {
     world.apply(&names.iter().map(group).collect::<Vec<_>>()).expect("groups").after
 }
 
-/// A closed box whose walls reflect alike: by reciprocity the mean light is mean emission / (1 − ρ), and the bounces are ρ
-/// of it, whichever walls emit.
+/// A closed box whose walls reflect alike: by reciprocity the mean light is mean emission / (1 − ρ), and the bounces
+/// are ρ of it, whichever walls emit.
 #[test]
 fn the_ambient_term_of_a_furnace_is_all_its_indirect_light() {
     let (x, y, z) = (Vec3::X * 2.0, Vec3::Y * 1.5, Vec3::Z);

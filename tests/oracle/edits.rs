@@ -15,7 +15,7 @@ fn budget(samples: u32) -> Budget {
     Budget { samples_per_element: samples, target_rmse: None }
 }
 
-/// Bias that an update may have against a bake, over everything (design, section 8) and within 0.8 m of the edit, where
+/// Bias that an update may have against a bake, over everything and within 0.8 m of the edit, where
 /// the rooms of these tests have an element every 15 cm only.
 const BIAS: [f64; 2] = [3e-3, 15e-3];
 

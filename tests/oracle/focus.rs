@@ -91,7 +91,8 @@ fn what_a_camera_sees_comes_first() {
     };
     let floor = |p: Vec3| p.y < 1e-3;
     let offset = |p: Vec3| (p.x - 2.2).abs().max((p.z - 1.9).abs());
-    // Half the frame is 2 m · tan 0.4 = 0.85 m; the crate hides 0.43 m around its middle; the ceiling is behind the eye.
+    // Half the frame is 2 m · tan 0.4 = 0.85 m; the crate hides 0.43 m around its middle; the ceiling is behind the
+    // eye.
     check(&focus, |p| floor(p) && (0.45..0.8).contains(&offset(p)), |p| p.y > 2.1 || floor(p) && offset(p) > 1.0);
 }
 

@@ -1,4 +1,4 @@
-//! Cases that break careless engines (design, section 6): they must stay finite, converge and agree with path tracing.
+//! Cases that break careless engines: they must stay finite, converge and agree with path tracing.
 
 use std::sync::Arc;
 
@@ -143,7 +143,8 @@ fn scales_and_distances() {
     }
 }
 
-/// Fifty times a crate comes and goes; `after_pair` sees the map after each. Answers the world and map before and after.
+/// Fifty times a crate comes and goes; `after_pair` sees the map after each. Answers the world and map before and
+/// after.
 fn come_and_go(
     mut after_pair: impl FnMut(u64, &World, Arc<LightMap>) -> Arc<LightMap>,
 ) -> (World, Arc<LightMap>, World, Arc<LightMap>) {

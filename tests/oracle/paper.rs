@@ -140,7 +140,7 @@ fn results_do_not_depend_on_threads() {
 }
 
 /// A black cube of 64 % of the walls' area in a room of albedo 0.8: the spectral radius of `T_S* 𝒪` is 2.65, with M = 3
-/// 1.6 (design, section 1). Every further iteration makes the map worse; equation (1) converges.
+/// 1.6. Every further iteration makes the map worse; equation (1) converges.
 #[test]
 fn large_black_objects_in_bright_rooms_make_it_diverge() {
     let walls = Mesh::cuboid(Vec3::ZERO, Vec3::splat(2.0)).inside_out();

@@ -1,4 +1,5 @@
-//! Tile after tile: each finished one is shown, the others keep their old light bit for bit, the end is as good as ever.
+//! Tile after tile: each finished one is shown, the others keep their old light bit for bit, the end is as good as
+//! ever.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};

@@ -54,7 +54,10 @@ macro_rules! avx_arithmetic {
             stored
         }
 
-        avx_arithmetic!(add _mm256_add_ps, sub _mm256_sub_ps, mul _mm256_mul_ps, div _mm256_div_ps, min _mm256_min_ps, max _mm256_max_ps);
+        avx_arithmetic!(
+            add _mm256_add_ps, sub _mm256_sub_ps, mul _mm256_mul_ps,
+            div _mm256_div_ps, min _mm256_min_ps, max _mm256_max_ps
+        );
 
         #[inline(always)]
         unsafe fn abs(a: __m256) -> __m256 {

@@ -94,8 +94,8 @@ fn noise(index: u64) -> f64 {
     (x ^ x >> 31) as f64 / u64::MAX as f64 - 0.5
 }
 
-/// Locally ordered clustering (Meister and Bittner 2018) with parallel reinsertion (2018). The nodes' children are adjacent,
-/// and leaves hold one triangle, whose index is `first_index`.
+/// Locally ordered clustering (Meister and Bittner 2018) with parallel reinsertion (2018). The nodes' children are
+/// adjacent, and leaves hold one triangle, whose index is `first_index`.
 fn from_obvhs(boxes: &[Aabb], quality: BuildQuality) -> Vec<Bvh2Node> {
     let (search, reinserted) = match quality {
         BuildQuality::Fast => (PlocSearchDistance::Low, 0.02),

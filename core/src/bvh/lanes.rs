@@ -64,7 +64,8 @@ impl StackMemory {
     }
 }
 
-/// What is still to be visited. Never overflows: see [`STACK_SIZE`]. Apart from its memory, so that it lives in registers.
+/// What is still to be visited. Never overflows: see [`STACK_SIZE`]. Apart from its memory, so that it lives in
+/// registers.
 pub(super) struct Stack<'a> {
     children: *mut ChildRef,
     entries: *mut f32,

@@ -141,8 +141,8 @@ macro_rules! dispatch {
 impl Bvh {
     /// Builds a tree in which triangle `corners[i]` (metres) is called `ids[i]`. Ids should differ.
     ///
-    /// Uses the current rayon pool; the result does not depend on its size. Triangles with a corner that is not finite are
-    /// left out. Without triangles the tree is one that nothing hits.
+    /// Uses the current rayon pool; the result does not depend on its size. Triangles with a corner that is not finite
+    /// are left out. Without triangles the tree is one that nothing hits.
     pub fn build(corners: &[[Vec3; 3]], ids: &[u32], quality: BuildQuality) -> Self {
         build::build(corners, ids, quality)
     }

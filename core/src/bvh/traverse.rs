@@ -3,7 +3,8 @@
 //! What a ray hits is a function of the ray, the triangles and the tree's padding alone, not of the tree's shape:
 //! a triangle counts only if the ray enters the triangle's own padded box, and its distance is moved into that box. All
 //! boxes above contain this box and rounding is monotonic, so that every box on the way down is entered, and no
-//! later than the distance found: culling never decides which of two triangles wins. Equal distances go to the smaller id.
+//! later than the distance found: culling never decides which of two triangles wins. Equal distances go to the smaller
+//! id.
 
 use super::lanes::{Lanes, Stack, StackMemory};
 use super::node::{Block, ChildRef, NO_TRIANGLE, Node};
@@ -145,8 +146,8 @@ unsafe fn edge<L: Lanes>(from: Float3<L>, to: Float3<L>) -> L::Float {
 /// Which triangles of a block are hit at `t_min ≤ t ≤ limit`, and where.
 ///
 /// "Watertight Ray/Triangle Intersection" (Woop, Benthin, Wald 2013): in the sheared space every corner has one
-/// position, whatever the triangle, and the rounded products of an edge function compare like the exact ones or are equal.
-/// Equality counts as inside, so that no ray passes between triangles, not even at their corners. A fused
+/// position, whatever the triangle, and the rounded products of an edge function compare like the exact ones or are
+/// equal. Equality counts as inside, so that no ray passes between triangles, not even at their corners. A fused
 /// product would break this; edge functions in three dimensions (Plücker) let rays aimed at corners through.
 #[inline(always)]
 unsafe fn intersect_block<L: Lanes>(block: &Block, ray: &RayLanes<L>, limit: f32) -> (u32, L::Float) {
@@ -230,7 +231,8 @@ pub(super) unsafe fn closest_hit<L: Lanes, const MASKED: bool>(
     ray: &Ray,
     mask: &TriangleMask,
 ) -> Option<Hit> {
-    // SAFETY: references in nodes were made by the collapse and point into the arrays; the stack holds MAX_DEPTH levels.
+    // SAFETY: references in nodes were made by the collapse and point into the arrays; the stack holds MAX_DEPTH
+    // levels.
     unsafe {
         let lanes = RayLanes::<L>::new(ray, bvh.padding);
         let mut best = Candidate { t: f32::INFINITY, id: NO_TRIANGLE, block: usize::MAX, lane: 0 };

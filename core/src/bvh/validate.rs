@@ -5,8 +5,8 @@ use super::node::{Bounds, ChildRef, MAX_DEPTH};
 use glam::Vec3;
 
 impl Bvh {
-    /// Expected cost of a random ray (surface area heuristic) in visited nodes and blocks: the sum of their areas relative to
-    /// the root's. For comparing trees over the same triangles.
+    /// Expected cost of a random ray (surface area heuristic) in visited nodes and blocks: the sum of their areas
+    /// relative to the root's. For comparing trees over the same triangles.
     pub fn surface_area_cost(&self) -> f32 {
         let root = area(&self.node_bounds(0));
         if root.is_nan() || root <= 0.0 {

@@ -110,7 +110,9 @@ proptest! {
     }
 
     #[test]
-    fn between_leads_from_old_to_new(old in map(40), new in map(40), copied in prop::collection::vec(any::<bool>(), 40)) {
+    fn between_leads_from_old_to_new(
+        old in map(40), new in map(40), copied in prop::collection::vec(any::<bool>(), 40)
+    ) {
         let mut new = new;
         for ((n, o), copied) in new.iter_mut().zip(&old).zip(copied) {
             if copied { *n = *o; }

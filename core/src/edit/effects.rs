@@ -30,7 +30,8 @@ pub enum Property {
     Group,
 }
 
-/// What an edit writes. It reads whether the things that it names are there: what comes must not be, all else has to be.
+/// What an edit writes. It reads whether the things that it names are there: what comes must not be, all else has to
+/// be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effect<'a> {
     /// A thing comes.

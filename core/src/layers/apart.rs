@@ -61,7 +61,8 @@ impl<'a> Old<'a> {
         (0..slots).into_par_iter().with_min_len(CHUNK).map(total).collect()
     }
 
-    /// Direct light, indirect light and variances of every layer, side by side per slot, in the slots of the world after it: zero where no value stays.
+    /// Direct light, indirect light and variances of every layer, side by side per slot, in the slots of the world
+    /// after it: zero where no value stays.
     pub(crate) fn stack<V: Value>(&self) -> Stack<V> {
         let slots = || self.keeps.par_iter().enumerate().with_min_len(CHUNK);
         let light = |of: for<'p> fn(&Part<'p>) -> &'p [Vec3]| -> Vec<V> {
@@ -111,8 +112,8 @@ pub(crate) struct Apart {
 }
 
 impl Apart {
-    /// The mean of all rounds, with its variance, added to old light, which is independent of it. Elements inside solids
-    /// take their neighbours' values.
+    /// The mean of all rounds, with its variance, added to old light, which is independent of it. Invalid elements take
+    /// their neighbours' values.
     pub(crate) fn of_mean<V: Value>(sum: &Accumulator<V>, old: Option<&Old>, validity: &Validity) -> Apart {
         let (mean, scatter) = (sum.mean(), sum.scatter());
         let (layers, slots) = (sum.layers(), mean.direct.len());
@@ -182,8 +183,9 @@ impl Apart {
     }
 }
 
-/// Values of so many layers, each by itself. `write(layer, first, values)` writes those of the slots from `first` on: of all
-/// layers at once, since they lie side by side, and read one by one each would bring the others along from memory.
+/// Values of so many layers, each by itself. `write(layer, first, values)` writes those of the slots from `first` on:
+/// of all layers at once, since they lie side by side, and read one by one each would bring the others along from
+/// memory.
 fn apart<T: Default + Clone + Send>(
     layers: usize,
     slots: usize,

@@ -34,8 +34,8 @@ pub const SHARED_LAYER: &str = "shared";
 /// Relative difference up to which two strengths count as the same: a few units in the last place of `f32`.
 const SAME_STRENGTH: f32 = 1e-6;
 
-/// What a layer weighs in a scene, per channel: the factor from all its lights' references to their strengths. None where
-/// they differ in it. Lights that the scene does not have do not count.
+/// What a layer weighs in a scene, per channel: the factor from all its lights' references to their strengths. None
+/// where they differ in it. Lights that the scene does not have do not count.
 pub(crate) fn weight_of(lights: &[LayerLight], scene: &Scene) -> Option<Vec3> {
     let mut weight = [None::<f32>; 3];
     for light in lights {
@@ -143,8 +143,8 @@ const CHUNK: usize = 4096;
 /// So many slots tell a correlation.
 const CORRELATION_SLOTS: usize = 1 << 14;
 
-/// How much the errors of layers, which share their rays, have in common: 0 not at all, 1 they are the same, below 0 they
-/// take from one another. From the variance of the whole, which was measured, and those of its layers.
+/// How much the errors of layers, which share their rays, have in common: 0 not at all, 1 they are the same, below 0
+/// they take from one another. From the variance of the whole, which was measured, and those of its layers.
 pub(crate) fn correlation(map: &LightMap, weights: &[Vec3]) -> f64 {
     if map.layers.len() < 2 {
         return 0.0;

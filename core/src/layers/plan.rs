@@ -65,8 +65,8 @@ pub(crate) fn headers_of_layers(map: &LightMap) -> Vec<Header> {
     map.layers.iter().map(|layer| Header { name: layer.name.clone(), lights: layer.lights.clone() }).collect()
 }
 
-/// Layers of a scene that is baked: one per group, one of the lights in none; empty where there is no group. Of more than
-/// [`MAX_GROUPS`], which no edit makes, the first by name count.
+/// Layers of a scene that is baked: one per group, one of the lights in none; empty where there is no group. Of more
+/// than [`MAX_GROUPS`], which no edit makes, the first by name count.
 pub(crate) fn groups_of(scene: &Scene) -> Vec<Header> {
     if scene.groups.is_empty() {
         return Vec::new();
@@ -251,7 +251,8 @@ impl Plan {
     }
 }
 
-/// Positions of the layers of a map whose lights all move, where an edit does nothing else, with their headers after it.
+/// Positions of the layers of a map whose lights all move, where an edit does nothing else, with their headers after
+/// it.
 pub(crate) fn moved_layers(transition: &Transition, map: &LightMap) -> Option<Vec<(usize, Header)>> {
     if map.layers.is_empty() || transition.changes_surfaces() {
         return None;

@@ -48,8 +48,8 @@ impl Pieces<'_> {
         Arc::new(sum)
     }
 
-    /// Variance of the new map, whose layers have these weights: light that leaves one layer for another is in both, with
-    /// opposite signs, so that only what it weighs in all counts.
+    /// Variance of the new map, whose layers have these weights: light that leaves one layer for another is in both,
+    /// with opposite signs, so that only what it weighs in all counts.
     pub(crate) fn variance(&self, weights: &[Vec3], correlation: f64) -> Vec<f32> {
         let mut old = vec![Vec3::ZERO; self.map.layers.len().max(1)];
         let mut new = vec![Vec3::ZERO; self.leaving.len()];

@@ -41,7 +41,7 @@ impl<V: Value> Stack<V> {
         }
     }
 
-    /// The mean of all rounds, with its variance, added to other, independent light. Elements inside solids take their
+    /// The mean of all rounds, with its variance, added to other, independent light. Invalid elements take their
     /// neighbours' values.
     pub(crate) fn of_mean(sum: &Accumulator<V>, to: Option<&Stack<V>>, validity: &Validity) -> Stack<V> {
         fn total<T: Add<Output = T> + Copy + Send + Sync>(
@@ -108,7 +108,7 @@ impl<V: Value> Stack<V> {
         self.layer_variance.len().checked_div(self.direct.len()).unwrap_or(0)
     }
 
-    /// Elements inside solids take their neighbours' values.
+    /// Invalid elements take their neighbours' values.
     pub(crate) fn fill_invalid(&mut self, validity: &Validity) {
         validity.fill(&mut self.direct);
         validity.fill(&mut self.indirect);

@@ -58,9 +58,9 @@ impl First {
 
 /// Brings S to S ∪ O.
 ///
-/// Equation (4): `L̃₀ = L̃_S − 𝒪[L_e] + T_S* 𝒪[L_e + T_{S∪O} L_e]`, the first bounce of `T_S* 𝒪[L_e]` being direct light
-/// that is taken out again; then `L̃_{n+1} = T_S* 𝒪[L̃_n]`. Equation (3): `L_0 = L_S` and `L_{n+1} = T_S* 𝒪[L_n]`, all
-/// light in one map; its emission is sampled by area, too, which it is not bound to.
+/// Equation (4): `L̃₀ = L̃_S − 𝒪[L_e] + T_S* 𝒪[L_e + T_{S∪O} L_e]`, the first bounce of `T_S* 𝒪[L_e]` being direct
+/// light that is taken out again; then `L̃_{n+1} = T_S* 𝒪[L̃_n]`. Equation (3): `L_0 = L_S` and `L_{n+1} = T_S*
+/// 𝒪[L_n]`, all light in one map; its emission is sampled by area, too, which it is not bound to.
 pub(super) fn insert(
     scene: &ObjectScene,
     state: &mut State,

@@ -39,7 +39,7 @@ pub struct PathTraced {
 
 /// Traces at least `samples` paths for each of `slots` (from 16 on a multiple of 16): light sampling at every vertex
 /// and cosine-distributed directions combined by the balance heuristic, Russian roulette, no cut that matters, no
-/// clamping. Elements inside solids come out as they are. Also answers the number of rays.
+/// clamping. Invalid elements come out as they are, not as their neighbours. Also answers the number of rays.
 pub fn path_trace(
     world: &World,
     slots: &[u32],

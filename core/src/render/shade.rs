@@ -27,7 +27,7 @@ pub(super) struct Shading<'a> {
     emission: Vec<Vec3>,
     /// Direct + indirect, as it is delivered; empty where no view needs it.
     totals: Vec<Vec3>,
-    /// Indirect light, likewise.
+    /// Indirect light, as it is delivered; empty where no view needs it.
     indirect: Vec<Vec3>,
 }
 

@@ -5,8 +5,8 @@ use glam::Vec3;
 use super::TextureUse;
 
 /// Colour, emission and transparency of a material by place, as the file has them. At a place the base colour is
-/// `factor` × the texture × the mesh's colour, and the emission is `emission` × its texture; texels that alpha rules out
-/// are no surface.
+/// `factor` × the texture × the mesh's colour, and the emission is `emission` × its texture; texels that alpha rules
+/// out are no surface.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Look {
     /// Base colour factor, linear RGB, each in 0..=1. Not capped as [`super::Material::albedo`] is.
@@ -21,7 +21,8 @@ pub struct Look {
     pub emission: Vec3,
     /// Emissive texture.
     pub emissive: Option<TextureUse>,
-    /// Share of the light that is not reflected at the surface and goes through it (`KHR_materials_transmission`), 0..=1.
+    /// Share of the light that is not reflected at the surface and goes through it (`KHR_materials_transmission`),
+    /// 0..=1.
     pub transmission: f32,
 }
 

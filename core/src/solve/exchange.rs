@@ -1,8 +1,8 @@
 //! Transport between representatives, sampled: every path of a representative that ends at a surface is one entry of a
 //! sparse matrix T̂, whose expectation is the transport operator.
 //!
-//! With `u = G[source]` from the same rays, `X = u + T̂ X` holds all bounces of the source, and no ray is traced for any
-//! but the first. A bounce's look-up is interpolated from a few elements, each from a few representatives; an entry
+//! With `u = G[source]` from the same rays, `X = u + T̂ X` holds all bounces of the source, and no ray is traced for
+//! any but the first. A bounce's look-up is interpolated from a few elements, each from a few representatives; an entry
 //! takes one of them, with their weight as probability.
 
 use std::sync::Arc;
@@ -33,7 +33,7 @@ const CHUNK: usize = 32;
 struct Entry {
     /// Row of the matrix; `NONE` where the path left or ended at what is not among the rows.
     row: u32,
-    /// Slot of an element of the triangle that it ended on, drawn by barycentric weight; `NONE` where it left.
+    /// Slot of an element of the cell that it ended on, drawn by barycentric weight; `NONE` where it left.
     element: u32,
     /// Product of the albedos on the way.
     weight: Vec3,
@@ -114,8 +114,8 @@ impl<V: Value> Exchange<V> {
         size_of_val(self.entries.as_slice()) + size_of_val(self.offsets.as_slice()) + self.first.len() * size_of::<V>()
     }
 
-    /// T̂ x. Rows borrow paths of their neighbours: a few paths alone may all end where they came from, and a matrix with
-    /// such a cycle has far more light go round than there is.
+    /// T̂ x. Rows borrow paths of their neighbours: a few paths alone may all end where they came from, and a matrix
+    /// with such a cycle has far more light go round than there is.
     fn apply(&self, x: &[V]) -> Vec<V> {
         let mut means = self.mean_of_rows(|e| e.row, x);
         for ends in self.rows.neighbours.windows(2) {

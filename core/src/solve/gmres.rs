@@ -14,8 +14,8 @@ const RESTART: usize = 24;
 /// Restarts at most.
 const MAX_RESTARTS: usize = 8;
 
-/// Bytes per task and partial sum: fixed, so that sums do not depend on the number of threads, and the less elements the
-/// more layers they have.
+/// Bytes per task and partial sum: fixed, so that sums do not depend on the number of threads, and the less elements
+/// the more layers they have.
 const CHUNK_BYTES: usize = 4096 * size_of::<Vec3>();
 
 /// Elements per task and partial sum.

@@ -1,5 +1,5 @@
-//! Albedo by place: every element has the mean of what its footprint shows, in linear light, so that the energy is right and
-//! no texture is read while rays are traced (design, section 11).
+//! Albedo by place: every element has the mean of what its cells show, in linear light, so that
+//! the energy is right and no texture is read while rays are traced.
 
 use glam::{Vec2, Vec3};
 
@@ -10,8 +10,8 @@ use crate::surface::{Surface, barycentrics};
 /// Albedos by place are at most this, or what their material was allowed to have.
 const MOST_ALBEDO: f32 = 0.95;
 
-/// Per element of one side: mean of base colour × vertex colour × factor over its cells, weighted by area, holes left out. None
-/// where every material of an object is the same all over.
+/// Per element of one side: mean of base colour × vertex colour × factor over its cells, weighted by area, holes left
+/// out. None where every material of an object is the same all over.
 pub(crate) fn albedos(object: &Object, surface: &Surface, layout: &Layout) -> Option<Vec<Vec3>> {
     let look = |material: usize| object.looks.get(material).and_then(Option::as_deref);
     let is_textured = |material: usize| look(material).is_some_and(|look| look.base_color.is_some());

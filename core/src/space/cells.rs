@@ -1,8 +1,8 @@
-//! The layout of elements on a surface: every triangle of it is divided into cells, at whose corners the elements are, and
-//! the cell of a point is found by descent.
+//! The layout of elements on a surface: every triangle of it is divided into cells, at whose corners the elements are,
+//! and the cell of a point is found by descent.
 //!
-//! A division is a tree. Its nodes hold the elements that they add and where on the edges these lie; the corners of a cell
-//! are known at the end of the descent and are stored nowhere.
+//! A division is a tree. Its nodes hold the elements that they add and where on the edges these lie; the corners of a
+//! cell are known at the end of the descent and are stored nowhere.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -58,11 +58,13 @@ pub(super) enum Kind {
     Halves,
     /// A point m on one edge, of the corners turned by so many: amc, mbc.
     Two(u8),
-    /// A triangle with a short edge, of the corners turned by so many: cut across, from the short edge ca to the corner b.
+    /// A triangle with a short edge, of the corners turned by so many: cut across, from the short edge ca to the corner
+    /// b.
     Strip(u8),
 }
 
-/// From the edge ab to the edge cb of a strip, and the piece that begins here: it has the next cut's new end as third corner.
+/// From the edge ab to the edge cb of a strip, and the piece that begins here: it has the next cut's new end as third
+/// corner.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cut {
     /// How far along ab and cb.
@@ -176,8 +178,8 @@ impl Cells {
         let side = |cut: &Cut| (1.0 - cut.s) * (cut.t * c - (1.0 - cut.t) * b) + cut.s * (1.0 - cut.t) * a;
         let k = cuts[1..count as usize].partition_point(|cut| side(cut) <= 0.0);
         let (cut, next) = (&cuts[k], &cuts[k + 1]);
-        // The corner on the edge of which this piece has no part has its weight from the third coordinate alone; what is
-        // left lies on the other edge.
+        // The corner on the edge of which this piece has no part has its weight from the third coordinate alone; what
+        // is left lies on the other edge.
         let along = |far: f32, other: f32, middle: f32, at: f32, from: f32, to: f32| {
             let alone = if at < 1.0 { far / (1.0 - at) } else { 0.0 };
             let (rest, here) = (other + middle - alone * at, middle - alone * at);

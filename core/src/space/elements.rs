@@ -36,15 +36,15 @@ pub(super) fn sample_points(positions: &[Vec3], normals: &[Vec3], triangles: &[[
     result
 }
 
-/// A subdivided surface.
+/// A subdivided surface: its vertices are the elements, its triangles the cells.
 struct Mesh<'m> {
     positions: &'m [Vec3],
     normals: &'m [Vec3],
     triangles: &'m [[u32; 3]],
 }
 
-/// A third of the area of the triangles at each vertex, m². Vertices between cells that rounding has flattened have next
-/// to none, but are no holes.
+/// A third of the area of the triangles at each vertex, m². Vertices between cells that rounding has flattened have
+/// next to none, but are no holes.
 fn areas(mesh: &Mesh) -> Vec<f32> {
     let mut areas = vec![0.0_f64; mesh.positions.len()];
     for triangle in mesh.triangles {

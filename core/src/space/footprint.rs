@@ -21,7 +21,7 @@ pub(crate) struct Spot {
 }
 
 impl Footprint {
-    /// Of the corners of a triangle.
+    /// Of the corners of a cell.
     #[inline]
     pub(crate) fn of_triangle(slots: [u32; 3], weights: [f32; 3]) -> Footprint {
         Footprint { slots, weights }

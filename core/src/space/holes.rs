@@ -7,8 +7,8 @@ use std::ops::Range;
 pub(super) struct Holes(Vec<Range<usize>>);
 
 impl Holes {
-    /// Takes the first run of `count` free ones and answers where it begins. Where none is long enough it ends behind the
-    /// `len` slots that there are: what is free at their end is part of it.
+    /// Takes the first run of `count` free ones and answers where it begins. Where none is long enough it ends behind
+    /// the `len` slots that there are: what is free at their end is part of it.
     pub(super) fn take(&mut self, count: usize, len: usize) -> usize {
         let Some(index) = self.0.iter().position(|hole| hole.len() >= count || hole.end == len) else { return len };
         let start = self.0[index].start;

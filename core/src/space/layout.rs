@@ -27,9 +27,9 @@ pub(crate) struct Elements {
     pub areas: Vec<f32>,
 }
 
-/// Lifts elements off flat triangles to the round surface that shading normals promise, or rays that start on them would
-/// meet the next triangle beside the terminator (Hanika 2021, Hacking the Shadow Terminator): by the distance to the tangent
-/// planes at the triangle's vertices, where those lie above. Flat and hollow surfaces stay as they are.
+/// Lifts elements off flat triangles to the round surface that shading normals promise, or rays that start on them
+/// would meet the next triangle beside the terminator (Hanika 2021, Hacking the Shadow Terminator): by the distance to
+/// the tangent planes at the triangle's vertices, where those lie above. Flat and hollow surfaces stay as they are.
 fn raise(surface: &Surface, cells: &Cells, positions: &mut [Vec3]) {
     let is_round = |face: u32| {
         let [a, b, c] = surface.triangles[face as usize].map(|vertex| surface.normals[vertex as usize]);
@@ -64,8 +64,8 @@ impl Elements {
 }
 
 impl Layout {
-    /// Divides the triangles of a surface until neighbouring elements are about `spacing` metres apart, at most 1.12 times
-    /// as much. Deterministic, and edges that two objects share get the same elements in both.
+    /// Divides the triangles of a surface until neighbouring elements are about `spacing` metres apart, at most 1.12
+    /// times as much. Deterministic, and edges that two objects share get the same elements in both.
     ///
     /// # Errors
     /// [`SurfaceError`]: a spacing that is not usable, or more than `max_elements` elements.
@@ -103,7 +103,8 @@ impl Layout {
         self.cells.ids()
     }
 
-    /// What `f` makes of every cell of a surface that is laid out so, in an order that depends on nothing but the layout.
+    /// What `f` makes of every cell of a surface that is laid out so, in an order that depends on nothing but the
+    /// layout.
     pub(crate) fn of_cells<T: Send>(&self, surface: &Surface, f: impl Fn(&Patch) -> Option<T> + Sync) -> Vec<T> {
         self.cells.collect(surface, f)
     }

@@ -1,8 +1,9 @@
 //! Where light lives: elements, beside the triangles that rays meet.
 //!
-//! Every object owns ranges of slots: one entry of a light map per element, of its front and then of its back where light
-//! is seen there, too. [`Space`] answers for a hit which slots hold the light there, with what weights, and how much is
-//! reflected. How a surface is divided is known in here only; others see its cells ([`Patch`]) and ask [`Layout`].
+//! Every object owns ranges of slots: one entry of a light map per element, of its front and then of its back where
+//! light is seen there, too. [`Space`] answers for a hit which slots hold the light there, with what weights, and how
+//! much is reflected. How a surface is divided is known in here only; others see its cells ([`Patch`]) and ask
+//! [`Layout`].
 
 mod albedo;
 mod cells;

@@ -1,4 +1,4 @@
-//! Which elements lie beside one another along a surface: rows of a sparse matrix, one behind the other.
+//! Which elements lie beside one another along a surface: one list per element, all behind one another.
 
 /// Neighbours of every element.
 #[derive(Clone, Debug, Default)]
@@ -9,7 +9,7 @@ pub(super) struct Neighbours {
 }
 
 impl Neighbours {
-    /// Those that share a triangle.
+    /// Those that share a cell; `triangles` are the elements at the corners of the cells.
     pub(super) fn new(elements: usize, triangles: &[[u32; 3]]) -> Neighbours {
         let mut ends = vec![0_u32; elements + 1];
         for &corner in triangles.iter().flatten() {
@@ -19,7 +19,7 @@ impl Neighbours {
         for end in &mut ends {
             (*end, sum) = (sum, sum + *end);
         }
-        // `ends[e]` is where the row of `e` begins until it is filled.
+        // `ends[e]` is where the list of `e` begins until it is filled.
         let mut full = vec![0; sum as usize];
         for &[a, b, c] in triangles {
             for (element, others) in [(a, [b, c]), (b, [c, a]), (c, [a, b])] {
@@ -32,10 +32,10 @@ impl Neighbours {
         let mut from = 0;
         for &end in &ends[..elements] {
             starts.push(list.len() as u32);
-            let row = &mut full[from..end as usize];
-            row.sort_unstable();
+            let others = &mut full[from..end as usize];
+            others.sort_unstable();
             let mut last = None;
-            list.extend(row.iter().copied().filter(|&other| last.replace(other) != Some(other)));
+            list.extend(others.iter().copied().filter(|&other| last.replace(other) != Some(other)));
             from = end as usize;
         }
         starts.push(list.len() as u32);
@@ -66,7 +66,7 @@ mod tests {
     #[test]
     fn neighbours_share_a_triangle() {
         let neighbours = Neighbours::new(6, &[[0, 1, 2], [2, 1, 3], [4, 4, 0]]);
-        let rows: Vec<&[u32]> = (0..6).map(|element| neighbours.of(element)).collect();
-        assert_eq!(rows, [&[1, 2, 4][..], &[0, 2, 3], &[0, 1, 3], &[1, 2], &[0, 4], &[]]);
+        let lists: Vec<&[u32]> = (0..6).map(|element| neighbours.of(element)).collect();
+        assert_eq!(lists, [&[1, 2, 4][..], &[0, 2, 3], &[0, 1, 3], &[1, 2], &[0, 4], &[]]);
     }
 }

@@ -163,8 +163,8 @@ impl Splitter {
         }
     }
 
-    /// Edge `ab` is split. Where `bc` is too, a quadrilateral is left at either end of the triangle: it is cut along its
-    /// shorter diagonal.
+    /// Edge `ab` is split. Where `bc` is too, a quadrilateral is left at either end of the triangle: it is cut along
+    /// its shorter diagonal.
     fn divide_in_two(
         &mut self,
         turn: u8,

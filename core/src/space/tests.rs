@@ -161,8 +161,8 @@ fn points_are_found_in_their_cells() {
     }
 }
 
-/// Strips need elements along their edges (a quadrilateral's two triangles have three long ones), and no more: were they split like other triangles, a strip of n segments would
-/// get n^1.6 elements, and a flat triangle n².
+/// Strips need elements along their edges (a quadrilateral's two triangles have three long ones), and no more: were
+/// they split like other triangles, a strip of n segments would get n^1.6 elements, and a flat triangle n².
 #[test]
 fn slivers_do_not_explode() {
     let strip = |length: f32, width: f32| Mesh::quad(Vec3::ZERO, Vec3::X * length, Vec3::Y * width);

@@ -1,5 +1,5 @@
-//! The surface of one object in scene space: the triangles of its file that have an area, welded. Rays meet these; light
-//! has a resolution of its own (`space`).
+//! The surface of one object in scene space: the triangles of its file that have an area, welded. Rays meet these;
+//! light has a resolution of its own (`space`).
 
 mod build;
 mod place;

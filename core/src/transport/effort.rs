@@ -54,8 +54,8 @@ impl Effort {
     }
 }
 
-/// Averages with neighbours, over the cells at each element: few rounds tell a variance badly, and least where a rare bright
-/// sample is still to come.
+/// Averages with neighbours, over the cells at each element: few rounds tell a variance badly, and least where a rare
+/// bright sample is still to come.
 fn smoothed(world: &World, variance: &[f32]) -> Vec<f32> {
     let mut smooth = variance.to_vec();
     for placed in &world.placed {

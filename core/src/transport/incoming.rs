@@ -13,8 +13,9 @@ use crate::world::World;
 /// Directions drawn by the cosine for each one that is aimed at a spot.
 const COSINES_PER_AIM: u32 = 4;
 
-/// What a surface sends to a point: `f(receiver, surfel, near, rng, rays)`. The receiver is an element slot, or `u32::MAX`
-/// where an object has no elements; near surfaces are not to be looked up where their light can be had otherwise.
+/// What a surface sends to a point: `f(receiver, surfel, near, rng, rays)`. The receiver is an element slot, or
+/// `u32::MAX` where an object has no elements; near surfaces are not to be looked up where their light can be had
+/// otherwise.
 pub(crate) trait Radiance<V>: Fn(u32, &Surfel, bool, &mut Pcg32, &mut u64) -> V + Sync {}
 
 impl<V, F: Fn(u32, &Surfel, bool, &mut Pcg32, &mut u64) -> V + Sync> Radiance<V> for F {}
@@ -41,15 +42,15 @@ pub(crate) struct Landed {
 }
 
 impl<V: Value, F: Radiance<V>> Source<'_, F, V> {
-    /// How many directions are to be aimed at spots along with so many that are drawn by the cosine. Beside a single one
-    /// they cost more than they tell.
+    /// How many directions are to be aimed at spots along with so many that are drawn by the cosine. Beside a single
+    /// one they cost more than they tell.
     pub(crate) fn aims(&self, samples: u32) -> u32 {
         if self.spots.is_some() && samples > 1 { samples.div_ceil(COSINES_PER_AIM) } else { 0 }
     }
 
-    /// Adds what arrives at a point of the element `receiver` from a direction drawn by the cosine, where `ratio` times as
-    /// many are [`Source::aimed`] (none at all behind near surfaces either, if it is 0), to `light`: all but that of the surface where the path lands, which
-    /// [`Source::add_landed`] adds. Answers how the path ended, too.
+    /// Adds what arrives at a point of the element `receiver` from a direction drawn by the cosine, where `ratio` times
+    /// as many are [`Source::aimed`] (none at all behind near surfaces either, if it is 0), to `light`: all but that of
+    /// the surface where the path lands, which [`Source::add_landed`] adds. Answers how the path ended, too.
     #[inline]
     #[expect(clippy::too_many_arguments, reason = "the inner loop of all gathers")]
     pub(crate) fn along(

@@ -1,6 +1,6 @@
 //! Bright spots: few cells that send out much of all light, such as what a lamp near a wall, or the sun through a
-//! window, lights. Directions towards them are sampled along with those by the cosine, which seldom find them, and both are
-//! combined by the balance heuristic (Veach and Guibas 1995; design, section 3.4). The light of an update is a change and
+//! window, lights. Directions towards them are sampled along with those by the cosine, which seldom find them, and both
+//! are combined by the balance heuristic (Veach and Guibas 1995). The light of an update is a change and
 //! its spots may be dark ones.
 
 use std::f32::consts::PI;
@@ -318,7 +318,7 @@ mod tests {
         assert!(Spots::of_map(&world, &light(&world, -500.0), &[Vec3::ONE]).is_some());
     }
 
-    /// As often as triangles are aimed at: the density that the balance heuristic knows.
+    /// As often as cells are aimed at: the density that the balance heuristic knows.
     #[test]
     fn densities_are_those_of_the_points() {
         let world = room();

@@ -37,7 +37,8 @@ impl Surfel {
         Some(surfel)
     }
 
-    /// Resolves a hit whose light nobody looks up: without footprint, and quicker where the albedo is the same all over.
+    /// Resolves a hit whose light nobody looks up: without footprint, and quicker where the albedo is the same all
+    /// over.
     #[inline]
     pub(crate) fn without_light(world: &World, ray: &Ray, hit: &Hit) -> Option<Surfel> {
         let (mut surfel, part) = Surfel::reflecting(world, ray, hit)?;

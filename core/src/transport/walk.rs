@@ -1,6 +1,7 @@
 //! Light that arrives along a ray, looked up at the surface that it meets, with the near-field rule: hits nearer than
-//! two spacings of the elements there are not looked up. A map interpolated across a contact leaks there (design, section 2: 0.2 % of the
-//! elements carried 54 % of the squared bias). Light is sampled at the hit instead, and the path goes on.
+//! two spacings of the elements there are not looked up. A map interpolated across a contact leaks there (in a
+//! prototype without the rule 0.2 % of the elements carried 54 % of the squared bias). Light is sampled at the hit
+//! instead, and the path goes on.
 
 use std::sync::Arc;
 
@@ -44,8 +45,8 @@ pub(crate) enum End {
     Absorbed,
 }
 
-/// Follows a ray to the first surface that can be looked up. `visit(surfel, weight, near)` sees all surfaces on the way,
-/// the last one included, with the product of the albedos before it; near ones are not looked up.
+/// Follows a ray to the first surface that can be looked up. `visit(surfel, weight, near)` sees all surfaces on the
+/// way, the last one included, with the product of the albedos before it; near ones are not looked up.
 #[inline]
 pub(crate) fn walk(
     world: &World,

@@ -1,9 +1,9 @@
-//! How many paths each representative gets for the bounces of a change: samples where variance × area says (design,
-//! section 3.6). Most of a change is near its edit, and far from there a path seldom meets any of it. Where less than one is
-//! asked for, neighbours share one.
+//! How many paths each representative gets for the bounces of a change: samples where variance × area says. Most of a
+//! change is near its edit, and far from there a path seldom meets any of it. Where less than one is asked for,
+//! neighbours share one.
 //!
-//! The variance of a path is at most the mean square of what it may meet, which needs no ray to be judged roughly: squared
-//! light of some clusters of surfaces, as if nothing stood in between.
+//! The variance of a path is at most the mean square of what it may meet, which needs no ray to be judged roughly:
+//! squared light of some clusters of surfaces, as if nothing stood in between.
 
 use std::f32::consts::PI;
 
@@ -28,11 +28,12 @@ pub(super) const ALBEDO: f32 = 0.5;
 /// Paths of a representative at most, over those that all would get.
 const MOST: f32 = 8.0;
 
-/// Paths over those that would do if needs were known exactly: what is judged roughly takes more. Measured on three edits:
-/// the same or more is known per second than with 1.0 (up to 1.5 times as much).
+/// Paths over those that would do if needs were known exactly: what is judged roughly takes more. Measured on three
+/// edits: the same or more is known per second than with 1.0 (up to 1.5 times as much).
 const MARGIN: f64 = 1.3;
 
-/// Neighbours that share paths are within so many spacings of the first of them, and turned by no more than this cosine.
+/// Neighbours that share paths are within so many spacings of the first of them, and turned by no more than this
+/// cosine.
 const SHARED_WITHIN: f32 = 16.0;
 const SHARED_COSINE: f32 = 0.8;
 
@@ -69,8 +70,8 @@ impl Allotment {
         Allotment { needs }
     }
 
-    /// Rows for some representatives, and the paths of each. Together they have the noise that `each` would leave if all had
-    /// it, with fewer.
+    /// Rows for some representatives, and the paths of each. Together they have the noise that `each` would leave if
+    /// all had it, with fewer.
     pub(super) fn rows(&self, world: &World, subset: &Subset, members: &Rows, each: u32) -> (Rows, Vec<u32>) {
         let needs = || members.members().iter().map(|&m| f64::from(self.needs[m as usize]));
         let (sum, squares) = needs().fold((0.0, 0.0), |(s, q), n| (s + n, q + n * n));
@@ -328,7 +329,8 @@ mod tests {
         let (rows, paths) = Allotment::new(&world, &subset, &amounts).rows(&world, &subset, &all, 1);
         let alone = all.shared((0..rows.len()).map(|row| rows.members_of(row).len()), std::iter::empty());
         let areas = subset.areas(&world);
-        // Squared error, by area, over the exact solution squared; the mean over its mean, and that one's standard error.
+        // Squared error, by area, over the exact solution squared; the mean over its mean, and that one's standard
+        // error.
         let judged = |rows: Rows| {
             const RUNS: u64 = 16;
             let rows = Arc::new(rows);

@@ -30,7 +30,8 @@ impl Extent {
         Extent::of(fine, representatives, is_spread, subset)
     }
 
-    /// Rows that are looked at, and nothing else: representatives of others among those that theirs are interpolated from.
+    /// Rows that are looked at, and nothing else: representatives of others among those that theirs are interpolated
+    /// from.
     pub(super) fn only(rows: &[u32], subset: &Subset, slots: usize, is_fine: impl Fn(u32) -> bool) -> Extent {
         let (fine, spread): (Vec<u32>, Vec<u32>) = rows.iter().partition(|&&slot| is_fine(slot));
         let needed = subset.needed_by(&spread, slots);

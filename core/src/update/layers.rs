@@ -91,8 +91,8 @@ impl Update<'_> {
         }
     }
 
-    /// The old light, at reference strength, of the lights of `plan.leaving`. The map is published where nothing is left to
-    /// do behind it.
+    /// The old light, at reference strength, of the lights of `plan.leaving`. The map is published where nothing is
+    /// left to do behind it.
     fn compute_leaving(&self, publishes: bool) -> Result<Option<Left>, Canceled> {
         let last = RefCell::new(Vec::new());
         let finish = |computed: Computed| {

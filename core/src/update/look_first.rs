@@ -1,6 +1,6 @@
 //! What somebody looks at, brought up to date before the rest. Everything is estimated once, at few samples and on the
-//! representatives; rounds then estimate only what is looked at, since from the rest light arrives by way of at least one
-//! bounce, which smooths it.
+//! representatives; rounds then estimate only what is looked at, since from the rest light arrives by way of at least
+//! one bounce, which smooths it.
 
 use std::cell::OnceCell;
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! Light maps brought up to date after an edit by equation (1) of the design,
+//! Light maps brought up to date after an edit by equation (1) of `docs/method.md`,
 //! `L_B − L_A = (I − T_B)⁻¹ S` with `S = (E_B − E_A) + (T_B − T_A) L_A`.
 //!
 //! In terms of the stored `M = D + I` (direct and indirect irradiance / π) and the gather G:

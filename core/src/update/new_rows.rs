@@ -13,15 +13,16 @@ use crate::transport::direct::direct_of;
 use crate::transport::{Effort, Field, Rough, Spots, gather};
 use crate::value::Value;
 
-/// Samples of new rows per sample of the others: they have no old map to lean on (design, section 3.8 c).
+/// Samples of new rows per sample of the others: they have no old map to lean on.
 const NEW_ROW_SAMPLES: u32 = 4;
 
 /// Samples of the solve among the new rows themselves.
 const SELF_SAMPLES: u32 = 32;
 
 impl<V: Value> Updater<'_, V> {
-    /// Direct and indirect light of new rows, written over their slots. `direct` holds ΔD of the static rows, and what is
-    /// known of new rows that are not among `rows`; `known` is the indirect light of all new rows, where there is any yet.
+    /// Direct and indirect light of new rows, written over their slots. `direct` holds ΔD of the static rows, and what
+    /// is known of new rows that are not among `rows`; `known` is the indirect light of all new rows, where there is
+    /// any yet.
     pub(super) fn new_rows(
         &self,
         round: &Round<V>,

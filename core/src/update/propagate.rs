@@ -23,7 +23,8 @@ const PROPAGATION_SAMPLES: (u32, u32) = (8, 64);
 /// Part of them that a change gets that drowns in the noise of the old map.
 const LEAST_WEIGHT: f64 = 0.25;
 
-/// From so many samples on X is gathered element by element near the edit: before, noise hides what interpolation gets wrong.
+/// From so many samples on X is gathered element by element near the edit: before, noise hides what interpolation gets
+/// wrong.
 const FINE_FROM: u32 = 8;
 
 /// Where paths look for a change, as it was estimated first: whatever it says, what they find is unbiased.
@@ -60,8 +61,8 @@ impl<V: Value> Change<'_, V> {
         }
     }
 
-    /// Near surfaces are looked up too: the change has no other estimate there. Its bounces are not. New rows have gone on
-    /// from near surfaces through the new scene when they were gathered.
+    /// Near surfaces are looked up too: the change has no other estimate there. Its bounces are not. New rows have gone
+    /// on from near surfaces through the new scene when they were gathered.
     #[inline]
     fn radiance(&self, bounces: Option<&[V]>, slot: u32, s: &Surfel, near: bool) -> V {
         let Some(footprint) = s.footprint else { return V::default() };
@@ -108,10 +109,10 @@ impl<V: Value> Change<'_, V> {
 }
 
 impl<V: Value> Updater<'_, V> {
-    /// X = Σ_k u_k. Where X is `known` roughly, only what some rows gather of it is computed anew, and the answer is of use
-    /// for them only. Elements `near` the edit gather it themselves: interpolation is off in corners, where there are no
-    /// representatives, and after many edits that adds up (a crate that came and went fifty times: 9.4 % of the mean light,
-    /// 5.5 % with it).
+    /// X = Σ_k u_k. Where X is `known` roughly, only what some rows gather of it is computed anew, and the answer is of
+    /// use for them only. Elements `near` the edit gather it themselves: interpolation is off in corners, where there
+    /// are no representatives, and after many edits that adds up (a crate that came and went fifty times: 9.4 % of the
+    /// mean light, 5.5 % with it).
     pub(super) fn propagate(
         &self,
         parts: &Estimate<V>,
@@ -189,7 +190,7 @@ impl<V: Value> Updater<'_, V> {
         };
         let mut seen_by_old = seen(&|slot| direct[slot] + indirect[slot]);
         let mut seen_by_new = seen(&|slot| indirect[slot]);
-        // Elements that came out of a solid had a value copied from neighbours, and S has looked that up.
+        // Elements that were invalid had a value copied from neighbours, and S has looked that up.
         for &slot in &self.transition.filled_rows {
             let slot = slot as usize;
             seen_by_old[slot] = direct[slot] + indirect[slot] - self.before_total[slot];

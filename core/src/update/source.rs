@@ -19,11 +19,12 @@ use crate::world::{Transition, World};
 /// From this part of the hemisphere on an element gets all samples; less coverage, less to know.
 const FULL_COVERAGE: f32 = 0.15;
 
-/// Samples, over those of others, of elements inside a sphere around a part of what changed or next to it: few they are,
-/// and half of all noise is theirs.
+/// Samples, over those of others, of elements inside a sphere around a part of what changed or next to it: few they
+/// are, and half of all noise is theirs.
 const CLOSE_SAMPLES: f32 = 4.0;
 
-/// Elements within this many spacings of the boxes around what changed are near (design, section 3.8 a).
+/// Elements within this many spacings of the boxes around what changed are near: there every
+/// one gathers, and farther away representatives do.
 const NEAR_ZONE: f32 = 5.0;
 
 /// Samples of a representative of far elements per sample of a near element.
@@ -199,8 +200,8 @@ fn closest(tree: Option<&Bvh>, ray: &Ray, rays: &mut u64) -> Option<Hit> {
     })
 }
 
-/// Reflected radiance of a hit in one of the worlds. Where no element there is a place of its own, such as below what is
-/// taken away, it is what they have of their neighbours: their own light counts by how it differs from that.
+/// Reflected radiance of a hit in one of the worlds. Where no element there is a place of its own, such as below what
+/// is taken away, it is what they have of their neighbours: their own light counts by how it differs from that.
 fn look<V: Value>(world: &World, ray: &Ray, hit: Option<&Hit>, map: &[V], rays: &mut u64) -> V {
     let Some(surfel) = hit.and_then(|h| Surfel::to_look_up(world, ray, h, rays)) else { return V::default() };
     let as_it_is = || if world.space.is_cut(surfel.cell) { Surfel::new(world, ray, hit?)?.footprint } else { None };

@@ -41,7 +41,8 @@ pub(super) struct Updater<'a, V> {
     pub(super) stage: &'a Stage<'a>,
     /// The old light in the new slots, for what is looked at first; zero on new rows.
     old: OnceCell<Stack<V>>,
-    /// Its sum, direct and indirect, with new rows' own values as they were found last: what is looked up of the new scene.
+    /// Its sum, direct and indirect, with new rows' own values as they were found last: what is looked up of the new
+    /// scene.
     pub(super) light: RefCell<Vec<V>>,
     /// That sum with new rows black; empty where nothing is repainted.
     pub(super) old_total: Vec<V>,
@@ -148,8 +149,9 @@ impl<'a, V: Value> Updater<'a, V> {
         Ok(())
     }
 
-    /// What changes before any bounce: ΔD and S on the static rows of `extents`, light of some new rows, with what is known
-    /// of the indirect light of all. `parts`, changes on static rows and values on new rows, holds what is known elsewhere.
+    /// What changes before any bounce: ΔD and S on the static rows of `extents`, light of some new rows, with what is
+    /// known of the indirect light of all. `parts`, changes on static rows and values on new rows, holds what is known
+    /// elsewhere.
     pub(super) fn arriving(
         &self,
         round: &Round<V>,
@@ -180,7 +182,7 @@ impl<'a, V: Value> Updater<'a, V> {
         self.spots.get_or_init(|| Spots::of_map(self.world, light, self.stage.guides)).as_ref()
     }
 
-    /// Whether the change is so large beside the light that is left that a bake is the better update (design, section 3.9):
+    /// Whether the change is so large beside the light that is left that a bake is the better update:
     /// what the subset gets wrong of it would show. The new rows' own light is no change.
     pub(super) fn outgrows_the_light(&self, Estimate { direct, indirect }: &Estimate<V>) -> bool {
         let (areas, guides, light) = (self.world.areas(), self.stage.guides, self.light.borrow());

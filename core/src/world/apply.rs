@@ -259,8 +259,8 @@ impl Draft {
         self.replace_object(index, object)
     }
 
-    /// An object leaves its slots and another comes in new ones. In the list it stays where it was, and what hangs on it
-    /// stays there, too.
+    /// An object leaves its slots and another comes in new ones. In the list it stays where it was, and what hangs on
+    /// it stays there, too.
     fn replace_object(&mut self, index: usize, object: Object) -> Result<(), EditError> {
         let Scene { lights, light_parents, .. } = &self.world.scene;
         let (lights, light_parents) = (lights.clone(), light_parents.clone());

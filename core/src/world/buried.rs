@@ -21,9 +21,9 @@ const LIGHT_SAMPLES: u32 = 4;
 /// An element that sees less than this part of its cells is behind what hides the rest.
 const LEAST_SHARE: f32 = 0.4;
 
-/// Whether an element is inside a solid. Most of its rays meet the backs of closed objects that light does not enter, or all
-/// of them meet some back that no light comes from (objects that stand on a floor often have no bottom) and no lamp is in
-/// there. A courtyard between backs is open, and lit.
+/// Whether an element is inside a solid. Most of its rays meet the backs of closed objects that light does not enter,
+/// or all of them meet some back that no light comes from (objects that stand on a floor often have no bottom) and no
+/// lamp is in there. A courtyard between backs is open, and lit.
 pub(super) fn is_inside(world: &World, slot: u32) -> bool {
     if world.areas()[slot as usize] <= 0.0 {
         return false;

@@ -1,5 +1,5 @@
-//! Light as it is delivered: never negative. Stored light may be, since its noise has both signs and no bias; what a client
-//! takes roots of must not.
+//! Light as it is delivered: never negative. Stored light may be, since its noise has both signs and no bias; what a
+//! client takes roots of must not.
 
 use std::sync::Arc;
 
@@ -14,7 +14,8 @@ const RINGS: u32 = 8;
 impl World {
     /// Raises negative values (per slot, irradiance / π) to zero and takes what that adds from neighbours along the
     /// surface, so that the mean of each side of an object, weighted by area, stays as it is per channel. Where it is
-    /// negative, that channel of the side becomes black. Nothing else changes, not even by a bit: the same values come out of the same values.
+    /// negative, that channel of the side becomes black. Nothing else changes, not even by a bit: the same values come
+    /// out of the same values.
     ///
     /// # Panics
     /// Where there is not one value per slot.
@@ -56,8 +57,8 @@ fn raise(placed: &Placed, areas: &[f32], values: &mut [Vec3], channel: usize) {
     values.iter_mut().for_each(|value| value[channel] = value[channel].max(0.0) * left);
 }
 
-/// An element takes what it lacks from its neighbours, from each the same part of what it has. Where they have too little it
-/// takes all, and the rest later of those that have borrowed themselves by then.
+/// An element takes what it lacks from its neighbours, from each the same part of what it has. Where they have too
+/// little it takes all, and the rest later of those that have borrowed themselves by then.
 fn borrow(placed: &Placed, areas: &[f32], values: &mut [Vec3], channel: usize, element: usize) {
     let neighbours = placed.layout.neighbours_of(element as u32);
     let missing = -values[element][channel] * areas[element];

@@ -11,7 +11,8 @@ use crate::surface::Surface;
 
 impl World {
     /// Whether a light map of `other` is right for this world as it is: the same elements in the same slots, the same
-    /// surfaces (up to rounding), albedos and lights. Names of objects, the order of things, trees and free slots do not count.
+    /// surfaces (up to rounding), albedos and lights. Names of objects, the order of things, trees and free slots do
+    /// not count.
     pub fn is_lit_like(&self, other: &World) -> bool {
         self.scene.origin == other.scene.origin
             && self.spacing() == other.spacing()
@@ -130,7 +131,8 @@ mod tests {
         assert!(!dimmed.is_lit_like(&start) && apply(&dimmed, dim(was)).is_lit_like(&start));
     }
 
-    /// An object keeps the order of its elements when it is turned; one that is inserted where that now stands has another.
+    /// An object keeps the order of its elements when it is turned; one that is inserted where that now stands has
+    /// another.
     #[test]
     fn elements_in_another_order_are_not_the_same() {
         let options = WorldOptions { spacing: Some(0.25), ..WorldOptions::default() };

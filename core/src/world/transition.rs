@@ -27,8 +27,8 @@ pub struct Transition {
     pub(crate) gone: Option<Arc<Bvh>>,
     /// What stands only in `after`; ids are triangle slots of `after`.
     pub(crate) come: Option<Arc<Bvh>>,
-    /// Elements without an old value that is worth anything: of inserted and moved objects, and those that came out
-    /// of solids. Valid ones only, ascending.
+    /// Elements without an old value that is worth anything: of inserted and moved objects, and those that were invalid
+    /// (inside a solid or behind a surface) and are so no more. Valid ones only, ascending.
     pub(crate) new_rows: Vec<u32>,
     /// Those of them that belong to objects that stay: they had values copied from neighbours.
     pub(crate) filled_rows: Vec<u32>,

@@ -1,5 +1,5 @@
-//! Elements that cannot be computed, or not for what is seen of their cells: inside solids, or behind a surface that cuts
-//! most of their cells off. They take the values of neighbours.
+//! Elements that cannot be computed, or not for what is seen of their cells: inside solids, or behind a surface that
+//! cuts most of their cells off. They take the values of neighbours.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -150,7 +150,8 @@ impl Validity {
         !self.is_invalid.contains(slot)
     }
 
-    /// One of the slots that an invalid slot takes its value from, by a uniform number; the slot itself where it is valid.
+    /// One of the slots that an invalid slot takes its value from, by a uniform number; the slot itself where it is
+    /// valid.
     pub(crate) fn stand_in(&self, slot: u32, mut u: f32) -> u32 {
         let mut slot = slot;
         while let Ok(i) = self.by_target.binary_search_by_key(&slot, |&f| self.fills[f as usize].target) {
@@ -197,8 +198,8 @@ fn part_of<'s>(slots: &'s [u32], range: &Range<u32>) -> &'s [u32] {
     &slots[index(range.start)..index(range.end)]
 }
 
-/// Ring by ring from the valid elements of one object, along its surface. Each takes the side that is nearest: the mean of
-/// both sides of a wall would be the light of neither.
+/// Ring by ring from the valid elements of one object, along its surface. Each takes the side that is nearest: the mean
+/// of both sides of a wall would be the light of neither.
 fn fill_object(world: &World, placed: &Placed, validity: &Validity) -> Vec<Fill> {
     let mut fills = Vec::new();
     for side in placed.sides() {

@@ -46,8 +46,8 @@ pub(super) struct DeltaQuery {
     since: u64,
     /// Keep the connection open and send every new version.
     follow: Option<bool>,
-    /// The name of a layer: its values at reference strengths, in the scene's mode, instead of the light map's. The stream
-    /// ends where the map loses the layer.
+    /// The name of a layer: its values at reference strengths, in the scene's mode, instead of the light map's. The
+    /// stream ends where the map loses the layer.
     #[param(example = "ceiling")]
     layer: Option<String>,
     /// How values travel; `full` where absent.

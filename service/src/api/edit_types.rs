@@ -18,7 +18,8 @@ pub enum EditRequest {
 /// Several edits, applied in order, as a unit or not at all. An empty list lights what canceled jobs left undone.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 pub struct EditList {
-    /// The edits. Where one carries a `budget`, `focus` or `tiles` of its own, the list's counts first, then the first edit's.
+    /// The edits. Where one carries a `budget`, `focus` or `tiles` of its own, the list's counts first, then the first
+    /// edit's.
     pub edits: Vec<SingleEdit>,
     /// When to stop.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -335,14 +336,14 @@ pub struct Focus {
 }
 
 /// How what is lit first is cut up: tile after tile, each published as soon as it has its samples, in the order of
-/// importance. With a `focus` that gives a camera the order is by Chebyshev distance on screen from what is edited, of what
-/// the camera sees; in a sphere by distance from its middle. Without `focus` it is by a bound on the change, and elements
-/// whose bound is below a hundredth of the largest come with the rest. The rest of the map follows.
-/// Lights that move are baked anew: their light is shown everywhere at once, roughly, and what is in focus gets its samples
-/// together.
+/// importance. With a `focus` that gives a camera the order is by Chebyshev distance on screen from what is edited, of
+/// what the camera sees; in a sphere by distance from its middle. Without `focus` it is by a bound on the change, and
+/// elements whose bound is below a hundredth of the largest come with the rest. The rest of the map follows.
+/// Lights that move are baked anew: their light is shown everywhere at once, roughly, and what is in focus gets its
+/// samples together.
 ///
-/// A newer edit of the scene ends the order: tiles that are not done are left, the map is completed, the job has succeeded,
-/// and the newer edit begins at its own place.
+/// A newer edit of the scene ends the order: tiles that are not done are left, the map is completed, the job has
+/// succeeded, and the newer edit begins at its own place.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Tiles {
@@ -363,8 +364,8 @@ pub struct Tiles {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum TileMode {
-    /// Not at all: everything in focus together, published after every round, as without `tiles`; then the rest, until the
-    /// budget ends.
+    /// Not at all: everything in focus together, published after every round, as without `tiles`; then the rest, until
+    /// the budget ends.
     Global,
     /// Tile after tile, then the rest to the same samples, and no further.
     Incremental,

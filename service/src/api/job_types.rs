@@ -96,7 +96,8 @@ pub struct JobProgress {
     /// From here to the end of the budget at the pace so far; absent while nothing is measured.
     #[schema(example = 618)]
     pub remaining_ms: Option<u64>,
-    /// Stated error of the newest version, of the light that the scene's map holds: area-weighted RMSE (irradiance / π).
+    /// Stated error of the newest version, of the light that the scene's map holds: area-weighted RMSE (irradiance /
+    /// π).
     #[schema(example = 0.012)]
     pub estimated_rmse: Option<f32>,
     /// Rays traced.

@@ -58,8 +58,8 @@ pub(super) struct LightmapQuery {
     #[param(inline)]
     format: Option<Format>,
     /// `full`, `direct` or `indirect`: that part of all light; the scene's mode where absent. The name of a layer
-    /// (between double quotes where it is one of these words): its light at reference strengths. `all`: every layer, its
-    /// direct and indirect light apart, in a picture with channels `<layer>.direct.R` and so on.
+    /// (between double quotes where it is one of these words): its light at reference strengths. `all`: every layer,
+    /// its direct and indirect light apart, in a picture with channels `<layer>.direct.R` and so on.
     #[param(example = "ceiling")]
     layer: Option<String>,
     /// Which part of a layer; the scene's mode where absent.

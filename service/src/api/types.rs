@@ -75,7 +75,8 @@ pub struct Scene {
     pub objects: Vec<Object>,
     /// The lights, in order.
     pub lights: Vec<Light>,
-    /// The layers of the light map: it is the sum of weight × layer. None before a light is relit or lights are grouped.
+    /// The layers of the light map: it is the sum of weight × layer. None before a light is relit or lights are
+    /// grouped.
     pub layers: Vec<SceneLayer>,
     /// The file's cameras, in order.
     pub cameras: Vec<Camera>,
@@ -293,7 +294,8 @@ pub struct SnapshotEvent {
     pub version: u64,
     /// Version at which elements, objects or lights last changed.
     pub elements_version: u64,
-    /// Of the rounds so far, of the job or of this spell of idle time; absent where old light was carried over to new geometry.
+    /// Of the rounds so far, of the job or of this spell of idle time; absent where old light was carried over to new
+    /// geometry.
     pub samples_per_element: Option<u32>,
     /// Stated error of this version.
     pub estimated_rmse: Option<f32>,

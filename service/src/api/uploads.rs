@@ -58,9 +58,9 @@ pub(super) struct CreateQuery {
     /// Largest albedo, above 0 and up to 0.999: what is above counts as this. 0.95 where absent.
     #[param(example = 0.99)]
     max_albedo: Option<f32>,
-    /// Which lights have layers of their own in the light map, so that relighting them needs no rays: `shared` (none, the
-    /// default; lights that are relit get one then), `each` (every light; at most 15), or a JSON object of layers with
-    /// their lights (at most 15; the other lights share one more).
+    /// Which lights have layers of their own in the light map, so that relighting them needs no rays: `shared` (none,
+    /// the default; lights that are relit get one then), `each` (every light; at most 15), or a JSON object of layers
+    /// with their lights (at most 15; the other lights share one more).
     #[param(example = "{\"ceiling\": [\"lamp-1\", \"lamp-2\"]}")]
     layers: Option<String>,
     /// Start a bake at once; `true` where absent.

@@ -183,8 +183,8 @@ fn load_asset(path: &Path) -> Result<Scene> {
     load_path(path, &LoadLimits::default()).with_context(cannot)
 }
 
-/// A scene as a service reads it that it is sent to. Transforms are rounded on the way, and where an edge is as long as the
-/// spacing allows the last bit decides how it is cut.
+/// A scene as a service reads it that it is sent to. Transforms are rounded on the way, and where an edge is as long as
+/// the spacing allows the last bit decides how it is cut.
 fn as_uploaded(scene: &Scene) -> Result<Scene> {
     Ok(load(&write_scene_glb(scene)?, &LoadLimits::default())?)
 }

@@ -56,8 +56,8 @@ impl Reference {
         Reference::trace_among(world, count, samples, seed, |_| true)
     }
 
-    /// Draws `count` among the valid elements that `is_wanted`, by systematic sampling over the area, and traces `samples`
-    /// paths for each.
+    /// Draws `count` among the valid elements that `is_wanted`, by systematic sampling over the area, and traces
+    /// `samples` paths for each.
     pub fn trace_among(
         world: &World,
         count: usize,

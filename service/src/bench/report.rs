@@ -134,8 +134,8 @@ pub struct RunReport {
     /// RMSE of path tracing in equal time of the processors over this one: what counts where other work shares them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gain_cpu: Option<f64>,
-    /// RMSE of the change alone: against the truth's change added to the same old map, whose own error so drops out. For
-    /// updates, where it was asked for.
+    /// RMSE of the change alone: against the truth's change added to the same old map, whose own error so drops out.
+    /// For updates, where it was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub change_rmse: Option<f64>,
     /// Standard error of `change_rmse` from the reference's elements and paths.

@@ -10,9 +10,9 @@ use super::session::{Base, Session, with_session};
 use super::study::as_map;
 use super::{Goal, Mode, PreparedCase, Timed};
 
-/// Runs a case's edit through a service of its own whose bake takes `base_samples` samples per element. Seconds are from
-/// the POST of the edit to the end of its job; the light map is what a client that follows the scene then has, all of it
-/// in the part that `mode` measures.
+/// Runs a case's edit through a service of its own whose bake takes `base_samples` samples per element. Seconds are
+/// from the POST of the edit to the end of its job; the light map is what a client that follows the scene then has, all
+/// of it in the part that `mode` measures.
 pub fn run_service(case: &PreparedCase, base_samples: u32, goal: Goal, mode: Mode, seed: u64) -> Result<Timed> {
     let base = Base { samples: base_samples, mode, seed };
     with_session(&case.before, base, async |session| through(session, case, goal, mode).await)

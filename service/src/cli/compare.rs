@@ -187,8 +187,8 @@ mod tests {
         let shown = Shown::new(&args, &picture(0.2), &picture(0.4));
         assert!((shown.scale - 0.2).abs() < 1e-6 && shown.mean_flip() > 0.1);
         let sheet = read_picture(&shown.sheet(&args.crop).unwrap()).unwrap().picture;
-        // Four times 20 and gaps of 10; one row of 10 pixels and one of 4 magnified four times, the first under captions.
-        // Bars with numbers below the difference and FLIP.
+        // Four times 20 and gaps of 10; one row of 10 pixels and one of 4 magnified four times, the first under
+        // captions. Bars with numbers below the difference and FLIP.
         assert_eq!((sheet.width, sheet.height), (4 * 30 + 10, 10 + (25 + 10 + 35 + 10) + (16 + 10)));
         let outside = Crop { x: 18, y: 0, width: 5, height: 5 };
         assert!(shown.sheet(&[outside]).is_err());

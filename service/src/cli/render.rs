@@ -84,7 +84,8 @@ struct Look {
     #[arg(long, value_name = "WxH", default_value = "640x360", value_parser = size)]
     size: (u32, u32),
     /// Samples per pixel
-    #[arg(long, value_name = "N", default_value_t = DEFAULT_SAMPLES, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_SAMPLES,
+        value_parser = clap::value_parser!(u32).range(1..))]
     spp: u32,
     /// Seed of the random numbers
     #[arg(long, value_name = "N", default_value_t = 0)]

@@ -45,13 +45,14 @@ pub(super) struct ServeArgs {
     /// times; `*` for all
     #[arg(long, value_name = "NAME", env = "REBAKE_HOST_NAME", value_delimiter = ',')]
     host_name: Vec<String>,
-    /// Memory that scenes, assets and uploads under way may take together, in GiB [default: three quarters of the machine's]
+    /// Memory that scenes, assets and uploads under way may take together, in GiB [default: three quarters of the
+    /// machine's]
     #[arg(long, value_name = "GIB", env = "REBAKE_MEMORY", value_parser = super::values::positive)]
     memory: Option<f64>,
     #[command(flatten)]
     limits: LimitArgs,
-    /// Refine light maps while no job waits, until their stated error is SHARE of their mean light. Every refined map is
-    /// a new version: edits with `If-Match` may have to be repeated
+    /// Refine light maps while no job waits, until their stated error is SHARE of their mean light. Every refined map
+    /// is a new version: edits with `If-Match` may have to be repeated
     #[arg(long, value_name = "SHARE", env = "REBAKE_IDLE_REFINE", num_args = 0..=1, require_equals = true,
         default_missing_value = "0.01", value_parser = super::values::positive)]
     idle_refine: Option<f64>,

@@ -117,7 +117,8 @@ impl Client {
         Ok(asset.asset)
     }
 
-    /// Posts one edit, or several as `{"edits": [...]}`, as api.md describes them.
+    /// Posts one edit, or several as `{"edits": [...]}`, as the API takes them
+    /// (`openapi/openapi.json`).
     pub async fn edit(&self, scene: &str, edit: &serde_json::Value, options: &EditOptions) -> Result<Job, ClientError> {
         let mut request = self
             .request(Method::POST, &["v1", "scenes", scene, "edits"], &[])?

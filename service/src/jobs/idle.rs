@@ -1,8 +1,8 @@
 //! What happens while there are no jobs: the worst light map is refined, spell by spell, until all are good enough or
 //! more samples do not help. It has threads of its own and makes room as soon as a job starts.
 //!
-//! A refined map takes the place of exactly the one it was made from (see `store::lighting`), so nothing that a job does
-//! meanwhile can be undone by it, however late it stops.
+//! A refined map takes the place of exactly the one it was made from (see `store::lighting`), so nothing that a job
+//! does meanwhile can be undone by it, however late it stops.
 
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

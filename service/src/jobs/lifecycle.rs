@@ -323,8 +323,8 @@ impl App {
 }
 
 impl State {
-    /// Tells the job of a scene where the next one is the next step of the same drag, or a newer edit of what goes tile by
-    /// tile.
+    /// Tells the job of a scene where the next one is the next step of the same drag, or a newer edit of what goes tile
+    /// by tile.
     fn supersede(&self, scene: SceneNumber) {
         let Some(running) = self.queue.running_on(scene) else { return };
         let next = self.queue.open_of(scene).into_iter().find(|job| *job > running);

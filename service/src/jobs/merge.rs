@@ -1,8 +1,8 @@
 //! Fewer edits to the same end: edits that queue up behind each other are lit as one where that gives the same result.
 //!
 //! Pure functions on lists of edits that were accepted one after the other. Of five moves of one object the last one
-//! counts; an object that comes and goes leaves nothing; relights of a light add up to one. What an edit does is asked of
-//! its effects ([`Effect`]): no kind of edit is named here.
+//! counts; an object that comes and goes leaves nothing; relights of a light add up to one. What an edit does is asked
+//! of its effects ([`Effect`]): no kind of edit is named here.
 
 use rebake_core::edit::{Effect, Property, Thing};
 
@@ -57,7 +57,8 @@ fn absorb(before: &mut [Option<Edit>], edit: &Edit) -> Option<Edit> {
     Some(left)
 }
 
-/// Whether a new value makes the old one as if it had never been. How many groups there are decides which others may be.
+/// Whether a new value makes the old one as if it had never been. How many groups there are decides which others may
+/// be.
 fn is_replaced(property: Property) -> bool {
     match property {
         Property::Place | Property::Albedo | Property::Strength => true,

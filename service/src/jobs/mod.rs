@@ -81,8 +81,8 @@ impl Stop {
         self.0.fetch_max(Stop::CANCEL, Ordering::Relaxed);
     }
 
-    /// The next step of a drag waits: this one ends with its estimate, and has succeeded. Or a newer edit does: tiles that
-    /// are not done are left, and it ends with its first complete map that states its error.
+    /// The next step of a drag waits: this one ends with its estimate, and has succeeded. Or a newer edit does: tiles
+    /// that are not done are left, and it ends with its first complete map that states its error.
     pub(crate) fn supersede(&self) {
         self.1.store(true, Ordering::Relaxed);
     }

@@ -5,7 +5,8 @@ use std::time::Instant;
 use crate::engine::{Pass, Progress};
 use crate::metrics::Metrics;
 
-/// Follows one piece of work of the engine. What lies between two reports belongs to the pass that the earlier one named.
+/// Follows one piece of work of the engine. What lies between two reports belongs to the pass that the earlier one
+/// named.
 #[derive(Debug, Default)]
 pub(super) struct PhaseClock {
     running: Option<(Instant, Pass)>,

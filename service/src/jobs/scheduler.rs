@@ -66,8 +66,9 @@ pub struct Spell {
     pub target: f64,
 }
 
-/// What idle time is spent on: the scene whose stated error is the largest part of its mean light, until that has halved or
-/// is down to `goal`. None where all scenes are that good. A map without light or without a stated error stays as it is.
+/// What idle time is spent on: the scene whose stated error is the largest part of its mean light, until that has
+/// halved or is down to `goal`. None where all scenes are that good. A map without light or without a stated error
+/// stays as it is.
 pub fn idle(scenes: &[Settled], goal: f64) -> Option<Spell> {
     let share = |scene: &Settled| scene.stated / scene.mean;
     let worst = scenes

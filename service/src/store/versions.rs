@@ -263,8 +263,8 @@ impl Published {
     }
 }
 
-/// A part of the light as it is delivered: nowhere negative, and direct + indirect = full. A map with layers is their sum, and
-/// keeps its noise as they do.
+/// A part of the light as it is delivered: nowhere negative, and direct + indirect = full. A map with layers is their
+/// sum, and keeps its noise as they do.
 fn delivered(world: &World, map: &LightMap, part: Part) -> Vec<Vec3> {
     let positive = |values: &[Vec3]| {
         let mut values = values.to_vec();

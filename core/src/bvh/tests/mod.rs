@@ -187,7 +187,8 @@ fn threads_do_not_change_the_tree() {
 
 #[test]
 fn flat_walls_make_a_good_tree() {
-    // obvhs' Morton code wraps at the faces of the scene's box: unrepaired, the tree of a closed room is several times dearer.
+    // obvhs' Morton code wraps at the faces of the scene's box: unrepaired, the tree of a closed room is several times
+    // dearer.
     let corners = meshes::room(0.02);
     let tree = tree(&corners);
     tree.validate().expect("a valid tree");

@@ -1,5 +1,5 @@
-//! The outer layer of a file: the chunks of a `.glb` or the bare JSON of a `.gltf`, where its buffers come from, and the
-//! checks of the document as a whole.
+//! The outer layer of a file: the chunks of a `.glb` or the bare JSON of a `.gltf`, where its buffers come from, and
+//! the checks of the document as a whole.
 
 use std::borrow::Cow;
 use std::cell::{Cell, OnceCell};

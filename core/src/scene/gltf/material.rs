@@ -175,7 +175,7 @@ impl<'f> Materials<'f> {
         if let Some(info) = info {
             base.texture = self.textures.get(info, alpha_use, "base colour", place, warnings)?;
             match base.texture {
-                Some(_) => warnings.add("base colour textures count with their mean colour", place),
+                Some(_) => warnings.add("base colour textures count with their mean colour over each element", place),
                 None => base.missing = Vec3::splat(MID_GREY),
             }
         }

@@ -1,8 +1,8 @@
 //! Reads glTF 2.0 files into a [`Scene`]: `.glb`, `.gltf` with its files in a zip archive or a folder.
 //!
-//! The `gltf` crate has the types of the JSON. Every index, range and number is checked here before it is used, since the
-//! crate's own accessors and part of its validation panic on files that break the specification. Nothing is ever fetched
-//! from a network, and uploads reach no file but those of their own archive.
+//! The `gltf` crate has the types of the JSON. Every index, range and number is checked here before it is used, since
+//! the crate's own accessors and part of its validation panic on files that break the specification. Nothing is ever
+//! fetched from a network, and uploads reach no file but those of their own archive.
 
 mod accessor;
 mod attributes;

@@ -66,8 +66,8 @@ pub(super) struct BenchArgs {
     /// For --measure focus: what somebody looks at, as the API takes it [default: the scene's first camera]
     #[arg(long, value_name = "JSON", value_parser = focus_json)]
     focus: Option<serde_json::Value>,
-    /// For --measure focus: in which steps, as the API takes it, such as {"mode":"incremental","size":256} [default: all
-    /// that is looked at together]
+    /// For --measure focus: in which steps, as the API takes it, such as {"mode":"incremental","size":256} [default:
+    /// all that is looked at together]
     #[arg(long, value_name = "JSON", value_parser = tiles_json)]
     tiles: Option<serde_json::Value>,
     /// For --measure drag: how many moves
@@ -146,7 +146,8 @@ struct PictureArgs {
     #[arg(long, requires = "pictures")]
     camera: Option<String>,
     /// Pictures: pixels across and down
-    #[arg(long, value_name = "WxH", default_value = "480x360", value_parser = super::render::size, requires = "pictures")]
+    #[arg(long, value_name = "WxH", default_value = "480x360", value_parser = super::render::size,
+        requires = "pictures")]
     picture_size: (u32, u32),
     /// Pictures: samples per pixel
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..),
@@ -189,7 +190,8 @@ enum MethodName {
     Paper,
     /// Update of the old light map
     Rebake,
-    /// Update of the old light map through the service over loopback: bake of the scene before, POST of the edit, download
+    /// Update of the old light map through the service over loopback: bake of the scene before, POST of the edit,
+    /// download
     Service,
 }
 

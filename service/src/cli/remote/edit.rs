@@ -159,7 +159,8 @@ mod tests {
             (
                 "insert-light l --kind point --position 0,2,0 --intensity 40",
                 json!({"op": "insert_light", "name": "l",
-                    "light": {"kind": "point", "position": [0.0, 2.0, 0.0], "color": [1.0, 1.0, 1.0], "intensity": 40.0}}),
+                    "light": {"kind": "point", "position": [0.0, 2.0, 0.0], "color": [1.0, 1.0, 1.0],
+                     "intensity": 40.0}}),
             ),
             ("remove-light l", json!({"op": "remove_light", "light": "l"})),
             ("move-light l --position -1,2,0", json!({"op": "move_light", "light": "l", "position": [-1.0, 2.0, 0.0]})),

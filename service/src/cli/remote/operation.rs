@@ -96,10 +96,12 @@ pub(super) struct NewLight {
     #[arg(long, value_parser = ["point", "spot", "directional", "environment"])]
     kind: String,
     /// Metres
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, required_if_eq_any([("kind", "point"), ("kind", "spot")]))]
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true,
+        required_if_eq_any([("kind", "point"), ("kind", "spot")]))]
     position: Option<Point>,
     /// Where it shines
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, required_if_eq_any([("kind", "spot"), ("kind", "directional")]))]
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true,
+        required_if_eq_any([("kind", "spot"), ("kind", "directional")]))]
     direction: Option<Point>,
     /// Spot: full intensity up to this angle from the direction
     #[arg(long, value_name = "DEGREES", value_parser = not_negative)]
@@ -159,7 +161,7 @@ impl Operation {
         }
     }
 
-    /// The edit as api.md describes it; `uploaded` is the id of [`Operation::asset_file`].
+    /// The edit as the API takes it (`openapi/openapi.json`); `uploaded` is the id of [`Operation::asset_file`].
     pub(super) fn json(&self, uploaded: Option<String>) -> Value {
         match self {
             Operation::Insert { asset, name, place } => {

@@ -34,8 +34,8 @@ pub(in super::super) struct PushArgs {
     /// Constant radiance from outside, linear RGB [default: black]
     #[arg(long, value_name = "R,G,B")]
     environment: Option<Rgb>,
-    /// Lights with layers of their own, which are relit without rays: `shared` (none yet), `each`, or groups as JSON, e.g.
-    /// '{"ceiling": ["lamp-1", "lamp-2"]}' [default: shared]
+    /// Lights with layers of their own, which are relit without rays: `shared` (none yet), `each`, or groups as JSON,
+    /// e.g. '{"ceiling": ["lamp-1", "lamp-2"]}' [default: shared]
     #[arg(long, value_name = "shared|each|JSON")]
     layers: Option<String>,
     /// Upload only

@@ -1,6 +1,6 @@
 //! Light maps as bytes, little-endian: a magic, the number of slots and of layers, the values of the whole, then layer
-//! after layer: its name, its lights with their reference strengths, its values. Values are direct, indirect and variance
-//! of all slots, as `f32`. Maps of the first format have no layers.
+//! after layer: its name, its lights with their reference strengths, its values. Values are direct, indirect and
+//! variance of all slots, as `f32`. Maps of the first format have no layers.
 
 use std::sync::Arc;
 

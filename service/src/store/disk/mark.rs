@@ -1,5 +1,5 @@
-//! Whose a directory is. What this program did not make it does not touch: a new data directory is empty, and an old one
-//! has a mark.
+//! Whose a directory is. What this program did not make it does not touch: a new data directory is empty, and an old
+//! one has a mark.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};

@@ -36,7 +36,8 @@ pub(crate) struct Disk {
 }
 
 impl Disk {
-    /// Opens a data directory, or makes one where there is none or an empty directory. `max_keys`: idempotency keys that are kept per scene.
+    /// Opens a data directory, or makes one where there is none or an empty directory. `max_keys`: idempotency keys
+    /// that are kept per scene.
     pub(crate) fn open(directory: &Path, faults: Faults, max_keys: usize) -> Result<Disk, StoreError> {
         std::fs::create_dir_all(directory)?;
         mark::check(directory)?;

@@ -67,7 +67,8 @@ fn with_meshopt() -> Vec<u8> {
     bin.resize(bin.len().next_multiple_of(4), 0);
     let view = |start: usize, length: usize, from: usize, packed: usize, mode: &str, stride: usize, count: usize| {
         format!(
-            "{{\"buffer\": 1, \"byteOffset\": {start}, \"byteLength\": {length}, \"extensions\": {{\"EXT_meshopt_compression\": \
+            "{{\"buffer\": 1, \"byteOffset\": {start}, \"byteLength\": {length}, \
+             \"extensions\": {{\"EXT_meshopt_compression\": \
              {{\"buffer\": 0, \"byteOffset\": {from}, \"byteLength\": {packed}, \"mode\": \"{mode}\", \
              \"byteStride\": {stride}, \"count\": {count}}}}}}}"
         )

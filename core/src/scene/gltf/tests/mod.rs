@@ -18,7 +18,8 @@ pub(super) const SQUARE: &str = r#"{
   "asset": {"version": "2.0"},
   "extensionsUsed": ["KHR_lights_punctual", "KHR_materials_emissive_strength"],
   "extensions": {"KHR_lights_punctual": {"lights": [
-    {"type": "spot", "color": [1, 0.5, 0.25], "intensity": 40, "range": 8, "spot": {"innerConeAngle": 0.25, "outerConeAngle": 0.5}}
+    {"type": "spot", "color": [1, 0.5, 0.25],
+     "intensity": 40, "range": 8, "spot": {"innerConeAngle": 0.25, "outerConeAngle": 0.5}}
   ]}},
   "scene": 0,
   "scenes": [{"nodes": [0, 1]}],

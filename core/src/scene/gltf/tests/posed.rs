@@ -15,11 +15,15 @@ fn skinned(edits: &[(&str, &str)]) -> Vec<u8> {
         .replace("\"meshes\"", "\"skins\": [{\"joints\": [1, 2]}], \"meshes\"")
         .replace("\"NORMAL\": 1}", "\"NORMAL\": 1, \"JOINTS_0\": 3, \"WEIGHTS_0\": 4}")
         .replace("\"name\": \"Wall\", \"mesh\": 0,", "\"name\": \"Wall\", \"mesh\": 0, \"skin\": 0,")
-        .replace("\"name\": \"Camera\", \"camera\": 0", "\"name\": \"Camera\", \"camera\": 0, \"translation\": [0, 0, 10]")
+        .replace(
+            "\"name\": \"Camera\", \"camera\": 0",
+            "\"name\": \"Camera\", \"camera\": 0, \"translation\": [0, 0, 10]",
+        )
         .replace(
             "\"type\": \"SCALAR\"}",
             "\"type\": \"SCALAR\"}, {\"bufferView\": 5, \"componentType\": 5121, \"count\": 4, \"type\": \"VEC4\"}, \
-             {\"bufferView\": 5, \"byteOffset\": 16, \"normalized\": true, \"componentType\": 5121, \"count\": 4, \"type\": \"VEC4\"}",
+             {\"bufferView\": 5, \"byteOffset\": 16, \"normalized\": true, \"componentType\": 5121, \"count\": 4, \
+             \"type\": \"VEC4\"}",
         )
         .replace("\"byteLength\": 16}", "\"byteLength\": 16}, {\"buffer\": 0, \"byteOffset\": 128, \"byteLength\": 32}")
         .replace("[{\"byteLength\": 128}]", "[{\"byteLength\": 160}]");

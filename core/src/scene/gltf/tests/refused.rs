@@ -61,17 +61,20 @@ const MALFORMED: &[(&str, &str, &str)] = &[
     ("\"count\": 6,", "\"count\": 6, \"byteOffset\": 18446744073709551512,", "reach to byte"),
     (
         "\"count\": 6,",
-        "\"count\": 6, \"sparse\": {\"count\": 1, \"indices\": {\"bufferView\": 4, \"componentType\": 5125}, \"values\": {\"bufferView\": 9}},",
+        "\"count\": 6, \"sparse\": {\"count\": 1, \"indices\": {\"bufferView\": 4, \"componentType\": 5125}, \
+         \"values\": {\"bufferView\": 9}},",
         "sparse",
     ),
     (
         "\"count\": 6,",
-        "\"count\": 6, \"sparse\": {\"count\": 7, \"indices\": {\"bufferView\": 4, \"componentType\": 5125}, \"values\": {\"bufferView\": 0}},",
+        "\"count\": 6, \"sparse\": {\"count\": 7, \"indices\": {\"bufferView\": 4, \"componentType\": 5125}, \
+         \"values\": {\"bufferView\": 0}},",
         "7 of them for 6",
     ),
     (
         "\"count\": 6,",
-        "\"count\": 6, \"sparse\": {\"count\": 1, \"indices\": {\"bufferView\": 0, \"byteOffset\": 12, \"componentType\": 5125}, \"values\": {\"bufferView\": 0}},",
+        "\"count\": 6, \"sparse\": {\"count\": 1, \"indices\": {\"bufferView\": 0, \"byteOffset\": 12, \
+         \"componentType\": 5125}, \"values\": {\"bufferView\": 0}},",
         "index 1065353216 is out of range",
     ),
     // Meshes.
@@ -189,7 +192,8 @@ fn what_cannot_be_baked_is_told_apart_from_what_is_broken() {
 
 #[test]
 fn limits_are_kept_before_memory_is_spent() {
-    let sparse = "\"sparse\": {\"count\": 1, \"indices\": {\"bufferView\": 4, \"componentType\": 5125}, \"values\": {\"bufferView\": 0}}";
+    let sparse = "\"sparse\": {\"count\": 1, \"indices\": {\"bufferView\": 4, \"componentType\": 5125}, \
+        \"values\": {\"bufferView\": 0}}";
     let endless = format!("{{\"componentType\": 5126, \"count\": 1000000000000, {sparse},");
     let huge = edited(&[("{\"bufferView\": 0, \"componentType\": 5126, \"count\": 4,", &endless)]);
     let file = edited(&[]);
