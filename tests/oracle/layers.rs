@@ -340,7 +340,7 @@ fn what_changes_in_the_dark_is_as_good_as_what_changes_in_the_light() {
         let square = |i: usize, m: &Arc<LightMap>| (m.total(i).as_dvec3() - mean(i)).powf(2.0);
         area_mean(&world, |_| true, |i| maps.iter().map(|m| square(i, m)).sum::<DVec3>() / (RUNS - 1) as f64)
     };
-    let (lit, dark) = (noise(&[moved.clone()]), noise(&[relit(0.0), moved, relit(1.0)]));
+    let (lit, dark) = (noise(std::slice::from_ref(&moved)), noise(&[relit(0.0), moved, relit(1.0)]));
     assert!(dark < 1.5 * lit, "variance of what changes in the dark {dark}, in the light {lit}");
 }
 
@@ -369,7 +369,7 @@ fn a_single_layer_is_brought_up_to_date_alike_at_any_strength() {
     let at = |intensity: f32| {
         let relit = start.apply(&[relight(&lamp, Vec3::ONE, intensity)]).expect("a relight");
         let map = update(&relit, &old, &budget(8), None, 2, &Unobserved).expect("nobody cancels");
-        let hidden = relit.after.apply(&[plate.clone()]).expect("a plate");
+        let hidden = relit.after.apply(std::slice::from_ref(&plate)).expect("a plate");
         update(&hidden, &map, &budget(8), None, 3, &Unobserved).expect("nobody cancels")
     };
     let (dim, bright) = (at(1e-3), at(1e3));
