@@ -102,8 +102,8 @@ pub struct PictureSpec {
 }
 
 impl PictureSpec {
-    /// The same picture as it gets better: with 1, 4, 16 samples per pixel and so on, the last one as asked for. All
-    /// but the last cost a third of that together.
+    /// A picture as it gets better, for a client that shows each: with 1, 4, 16 samples per pixel and so on, the last
+    /// one with as many as asked for. All but the last cost a third of that together.
     pub fn passes(&self) -> Vec<PictureSpec> {
         let all = self.options.samples;
         let before = std::iter::successors(Some(1u32), |samples| samples.checked_mul(4)).take_while(|n| *n < all);

@@ -17,7 +17,7 @@ use super::server::{Server, path_of};
 struct Waiting {
     is_let_go: Mutex<bool>,
     let_go: Condvar,
-    /// The same bake without anybody who looks on.
+    /// The light map of a bake that nobody looks on at, with the inputs and the seed of the last observed one.
     unobserved: Mutex<Option<Arc<LightMap>>>,
 }
 

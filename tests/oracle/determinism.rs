@@ -1,4 +1,4 @@
-//! The same inputs and seed give the same bits on any number of threads; a cancelled job gives nothing.
+//! Determinism: equal inputs and seeds give equal bits on any number of threads; a canceled job gives nothing.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};

@@ -20,7 +20,7 @@ impl Material {
         Self { albedo: Vec3::ZERO, emission: radiance, double_sided: false }
     }
 
-    /// The same material, seen from both sides.
+    /// A double-sided copy of this material: both sides of a surface reflect and emit.
     #[must_use]
     pub fn double_sided(self) -> Self {
         Self { double_sided: true, ..self }

@@ -369,7 +369,7 @@ pub enum TileMode {
     Global,
     /// Tile after tile, then the rest to the same samples, and no further.
     Incremental,
-    /// The same, and then refinement until the budget ends.
+    /// Tile after tile, then the rest to the same samples, and then refinement until the budget ends.
     Continuous,
 }
 

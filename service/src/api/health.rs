@@ -30,7 +30,7 @@ pub(super) async fn ready(State(app): Shared) -> ApiResult<Json<Health>> {
 
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// The same lines are good as Prometheus' own format, for whoever does not ask for OpenMetrics.
+/// Content type of metrics for whoever does not ask for OpenMetrics; the lines that are written are good as both.
 const PROMETHEUS_TEXT: &str = "text/plain; version=0.0.4; charset=utf-8";
 
 /// Metrics for Prometheus, as OpenMetrics where that is accepted.

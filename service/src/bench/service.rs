@@ -1,4 +1,4 @@
-//! The same edit through the service, over loopback: upload, bake, POST of the edit, download. What clients get.
+//! A case's edit as clients get it, through the service over loopback: upload, bake, POST of the edit, download.
 
 use std::sync::Arc;
 use std::time::Instant;

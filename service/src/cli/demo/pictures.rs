@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use rebake::client::Client;
 
-/// Shape of all pictures.
+/// Width and height of all pictures but that of the error, pixels.
 const SIZE: (u32, u32) = (640, 360);
-/// The same shape, smaller: an error map is noise, which does not compress.
+/// Width and height of the picture of the error, pixels: smaller, since noise does not compress.
 const ERROR_SIZE: (u32, u32) = (560, 315);
 /// Enough that soft shadows show no grain.
 const SAMPLES: u32 = 256;
