@@ -92,7 +92,23 @@ pub(crate) fn load(file: &[u8], limits: &Limits, max_albedo: Option<f32>) -> Res
         max_albedo: max_albedo.unwrap_or(default.max_albedo),
         ..default
     };
-    let mut scene = scene::load(file, &limits)?;
+    load_within(file, &limits)
+}
+
+/// Reads a file that was accepted at some time: whatever the limits of uploads are now, it is there.
+pub(crate) fn load_again(file: &[u8], max_albedo: Option<f32>) -> Result<Scene, LoadError> {
+    let default = LoadLimits::default();
+    let limits = LoadLimits {
+        max_bytes: usize::MAX,
+        max_triangles: usize::MAX,
+        max_albedo: max_albedo.unwrap_or(default.max_albedo),
+        ..default
+    };
+    load_within(file, &limits)
+}
+
+fn load_within(file: &[u8], limits: &LoadLimits) -> Result<Scene, LoadError> {
+    let mut scene = scene::load(file, limits)?;
     if limits.max_albedo > LoadLimits::default().max_albedo {
         // Light of a closed room is down to a thousandth after as many bounces.
         let bounces = (1e-3_f32.ln() / limits.max_albedo.ln()).ceil();
@@ -135,8 +151,26 @@ pub(crate) fn build(scene: Scene, spacing: Option<f32>, stated: Stated, limits: 
     World::new(scene, &options)
 }
 
-/// A world without anything in it: what is shown of a scene that cannot be built. A spacing that no world can have, as a
-/// damaged record tells it, gives way to 1 m.
+/// As [`build`], of a scene that was accepted at some time: its edits are to be applied again, whatever the limits are
+/// now. [`limited`] ends that.
+pub(crate) fn build_again(scene: Scene, spacing: f32, stated: Stated) -> Result<World, WorldError> {
+    let options = rebake_core::WorldOptions {
+        spacing: Some(spacing),
+        // Slots are numbers of 32 bits.
+        max_elements: u32::MAX as usize,
+        max_triangles: usize::MAX,
+        stated,
+    };
+    World::new(scene, &options)
+}
+
+/// The world with the limits that hold for further edits.
+pub(crate) fn limited(world: World, limits: &Limits) -> World {
+    world.with_limits(limits.elements, limits.subdivided_triangles)
+}
+
+/// A world without anything in it: what is shown of a scene that cannot be built. A spacing that no world can have, as
+/// a damaged record tells it, gives way to 1 m.
 pub(crate) fn empty_world(spacing: f32) -> World {
     let spacing = if spacing.is_finite() && spacing > 0.0 { spacing } else { 1.0 };
     let scene = Scene::from_objects(Vec::new());

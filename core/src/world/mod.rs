@@ -169,6 +169,14 @@ impl World {
         self.resolution.spacing
     }
 
+    /// This world with other limits, for edits from here on. What is there stays and may be edited: they are never less
+    /// than what it takes.
+    pub fn with_limits(self, max_elements: usize, max_triangles: usize) -> World {
+        let max_elements = max_elements.max(self.element_count());
+        let max_triangles = max_triangles.max(self.triangle_count());
+        World { options: WorldOptions { max_elements, max_triangles, ..self.options }, ..self }
+    }
+
     /// What light maps state the error of.
     pub fn stated(&self) -> Stated {
         self.options.stated
