@@ -100,6 +100,7 @@ pub(crate) fn load_again(file: &[u8], max_albedo: Option<f32>) -> Result<Scene, 
     let default = LoadLimits::default();
     let limits = LoadLimits {
         max_bytes: usize::MAX,
+        max_read_bytes: usize::MAX,
         max_triangles: usize::MAX,
         max_albedo: max_albedo.unwrap_or(default.max_albedo),
         ..default

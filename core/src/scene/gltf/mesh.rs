@@ -8,6 +8,7 @@ use glam::{DVec3, Vec2, Vec3, Vec4};
 use json::mesh::{Mode, Primitive, Semantic};
 use json::validation::Checked;
 
+use super::accessor::Most;
 use super::attributes::Attributes;
 use super::container::File;
 use super::material::{LoadedMaterial, Materials};
@@ -118,16 +119,12 @@ impl<'f> Meshes<'f> {
         let draco = compressed.map(decode).transpose()?;
         // Decompressed, strips are lists.
         let mode = if draco.is_some() { Mode::Triangles } else { mode };
-        let attributes =
-            Attributes { file: self.file, primitive, draco, max_vertices: self.vertices_left, place: place.name };
+        let max_vertices = Most { count: self.vertices_left, of: ("vertices", self.max_vertices) };
+        let attributes = Attributes { file: self.file, primitive, draco, max_vertices, place: place.name };
         let (first, count) = self.vertices(draft, &attributes, &material, pose, warnings)?;
-        let full = |error| match error {
-            LoadError::TooLarge(_) => too_large("triangles", self.max_triangles),
-            other => other,
-        };
         // A strip or fan of n indices has n − 2 triangles, a list a third of n.
         let max_indices = self.max_triangles.saturating_mul(3).saturating_add(2);
-        let indices = attributes.indices(count, max_indices).map_err(full)?;
+        let indices = attributes.indices(count, Most { count: max_indices, of: ("triangles", self.max_triangles) })?;
         if let Some(bad) = indices.iter().find(|&&index| index as usize >= count) {
             return Err(malformed(place.name, &format!("index {bad} is out of range, there are {count} vertices")));
         }
@@ -153,14 +150,9 @@ impl<'f> Meshes<'f> {
         if let Some(known) = key.as_ref().and_then(|key| draft.vertex_ranges.get(key)) {
             return Ok(*known);
         }
-        let full = |error| match error {
-            LoadError::TooLarge(text) if attributes.draco.is_some() => LoadError::TooLarge(text),
-            LoadError::TooLarge(_) => too_large("vertices", self.max_vertices),
-            other => other,
-        };
-        let positions = attributes.positions().map_err(full)?;
+        let positions = attributes.positions()?;
         let count = positions.len();
-        let normals = attributes.normals(count).map_err(full)?.unwrap_or_default();
+        let normals = attributes.normals(count)?.unwrap_or_default();
         let mut vertices = Vertices { positions, normals };
         if !pose.is_plain() {
             pose.apply(attributes, &mut vertices)?;
