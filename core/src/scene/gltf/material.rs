@@ -51,6 +51,32 @@ impl LoadedMaterial {
         let textures = self.look.iter().flat_map(|look| [&look.base_color, &look.emissive]);
         textures.flatten().any(|texture| texture.texcoord == set)
     }
+
+    /// The material where the mesh has only some of its texture coordinates: a texture without them shows its mean all
+    /// over. And which of both textures that is.
+    pub(super) fn with_texcoords(mut self, has: impl Fn(usize) -> bool) -> (Self, [bool; 2]) {
+        let Some(look) = &self.look else { return (self, [false; 2]) };
+        let is_unplaced = |texture: &&TextureUse| !has(texture.texcoord);
+        let (base, emissive) = (look.base_color.as_ref(), look.emissive.as_ref());
+        let means = [base, emissive].map(|texture| texture.filter(is_unplaced).map(|texture| texture.texture.mean()));
+        let mut look = Look::clone(look);
+        if let Some(mean) = means[0] {
+            look.factor *= mean.color;
+            look.base_color = None;
+            if look.alpha_mode == AlphaMode::Blend {
+                look.alpha *= mean.weight;
+            }
+        }
+        if let Some(mean) = means[1] {
+            look.emission *= mean.color;
+            look.emissive = None;
+        }
+        let unplaced = means.map(|mean| mean.is_some());
+        if unplaced != [false; 2] {
+            self.look = look.varies().then(|| Arc::new(look));
+        }
+        (self, unplaced)
+    }
 }
 
 impl<'f> Materials<'f> {

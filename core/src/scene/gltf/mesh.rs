@@ -42,8 +42,8 @@ struct Draft {
     mesh: Mesh,
     has_normals: bool,
     materials: Vec<LoadedMaterial>,
-    /// glTF material to index into `materials`.
-    material_slots: BTreeMap<Option<usize>, u32>,
+    /// glTF material, and which of its textures have no place on the primitive, to index into `materials`.
+    material_slots: BTreeMap<(Option<usize>, [bool; 2]), u32>,
     /// What primitives often share, by the accessors of all that is read of it.
     vertex_ranges: BTreeMap<Vec<Option<usize>>, (u32, usize)>,
     degenerate_triangles: usize,
@@ -113,6 +113,12 @@ impl<'f> Meshes<'f> {
         if material.is_transparent {
             return Ok(());
         }
+        let has =
+            |set: usize| set < 2 && primitive.attributes.contains_key(&Checked::Valid(Semantic::TexCoords(set as u32)));
+        let (material, unplaced) = material.with_texcoords(has);
+        if unplaced != [false; 2] {
+            warnings.add("textures without texture coordinates on the mesh count with their mean colour", place.name);
+        }
         let compressed = self.file.more.draco(place.mesh, place.number);
         let decode =
             |extension| draco::decode(self.file, extension, self.vertices_left, self.max_triangles, place.name);
@@ -132,7 +138,7 @@ impl<'f> Meshes<'f> {
         if draft.mesh.triangles.len() + corners.len() > self.max_triangles {
             return Err(too_large("triangles", self.max_triangles));
         }
-        let slot = draft.material_slot(primitive.material.map(|index| index.value()), material);
+        let slot = draft.material_slot((primitive.material.map(|index| index.value()), unplaced), material);
         draft.add_triangles(&corners, first, slot);
         Ok(())
     }
@@ -209,9 +215,9 @@ fn append<T: Copy>(list: &mut Vec<T>, first: usize, values: Option<impl Iterator
 }
 
 impl Draft {
-    fn material_slot(&mut self, index: Option<usize>, material: LoadedMaterial) -> u32 {
+    fn material_slot(&mut self, key: (Option<usize>, [bool; 2]), material: LoadedMaterial) -> u32 {
         let next = self.materials.len() as u32;
-        let slot = *self.material_slots.entry(index).or_insert(next);
+        let slot = *self.material_slots.entry(key).or_insert(next);
         if slot == next {
             self.materials.push(material);
         }
