@@ -139,7 +139,8 @@ fn build(glb: &[u8], record: &SceneRecord) -> Result<World, StoreError> {
     }
     scene.warn_where_dark();
     scene.groups = record.groups.clone();
-    engine::build_again(scene, record.spacing, record.mode.stated()).map_err(|error| unreadable(&error))
+    engine::build_again(scene, record.spacing, record.mode.stated(), record.max_albedo)
+        .map_err(|error| unreadable(&error))
 }
 
 /// A scene after all of its edits.

@@ -93,10 +93,10 @@ impl<'f> Materials<'f> {
     ) -> Result<LoadedMaterial, LoadError> {
         let Some(index) = index else {
             warnings.add("primitives without a material are white", "");
-            let (albedo, look) = self.capped(Vec3::ONE, None, "those without a material", warnings);
+            let albedo = self.checked(Vec3::ONE, "those without a material", warnings);
             return Ok(LoadedMaterial {
                 material: Material::diffuse(albedo),
-                look,
+                look: None,
                 emission_color: Vec3::ZERO,
                 emission_intensity: 1.0,
                 is_transparent: false,
@@ -154,7 +154,8 @@ impl<'f> Materials<'f> {
             emissive,
             transmission,
         };
-        let (albedo, look) = self.capped(base.factor * mean, Some(by_place), &place, warnings);
+        let albedo = self.checked(base.factor * mean, &place, warnings);
+        let look = by_place.varies().then(|| Arc::new(by_place));
         let emission = color * intensity;
         let material = Material { albedo, emission, double_sided: json.double_sided };
         Ok(LoadedMaterial {
@@ -213,26 +214,16 @@ impl<'f> Materials<'f> {
         Ok(base)
     }
 
-    /// The albedo within bounds, and the look where it says more than the albedo.
-    fn capped(
-        &self,
-        albedo: Vec3,
-        look: Option<Look>,
-        place: &str,
-        warnings: &mut Warnings,
-    ) -> (Vec3, Option<Arc<Look>>) {
-        let albedo = albedo.clamp(Vec3::ZERO, Vec3::ONE);
-        let is_capped = albedo.max_element() > self.max_albedo;
-        if is_capped {
+    /// The albedo within bounds, and a warning where light meets less than it says.
+    fn checked(&self, albedo: Vec3, place: &str, warnings: &mut Warnings) -> Vec3 {
+        if albedo.max_element() > self.max_albedo {
             let text = format!(
                 "an albedo above {} is taken as that, since light in a closed room would have no end (max_albedo says otherwise)",
                 self.max_albedo
             );
             warnings.add(text, place);
         }
-        let look = look.unwrap_or_else(|| Look::plain(albedo));
-        let says_more = is_capped || look.varies();
-        (albedo.min(Vec3::splat(self.max_albedo)), says_more.then(|| Arc::new(look)))
+        albedo.clamp(Vec3::ZERO, Vec3::ONE)
     }
 }
 

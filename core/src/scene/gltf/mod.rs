@@ -37,7 +37,7 @@ use self::mesh::{LoadedMesh, Meshes};
 use self::nodes::PlacedNode;
 use self::warnings::Warnings;
 use super::names::UniqueNames;
-use super::{Camera, Object, Scene};
+use super::{Camera, DEFAULT_MAX_ALBEDO, Object, Scene};
 
 /// Upper bounds on what one file may ask for. Beyond them [`load`] answers [`LoadError::TooLarge`].
 #[derive(Clone, Debug, PartialEq)]
@@ -69,7 +69,8 @@ pub struct LoadLimits {
     pub max_total_texture_pixels: u64,
     /// Texels of all textures that are kept for the light map; beyond some part of it they are kept smaller.
     pub max_kept_texels: usize,
-    /// Largest albedo: what is above counts as this, with a warning, and is no error.
+    /// Largest albedo without a warning: the cap of the world that the scene is for
+    /// ([`crate::WorldOptions::max_albedo`]).
     pub max_albedo: f32,
 }
 
@@ -89,7 +90,7 @@ impl Default for LoadLimits {
             max_texture_pixels: 1 << 26,
             max_total_texture_pixels: 1 << 30,
             max_kept_texels: 1 << 25,
-            max_albedo: 0.95,
+            max_albedo: DEFAULT_MAX_ALBEDO,
         }
     }
 }
