@@ -191,8 +191,11 @@ fn saved_light(row: &rusqlite::Row<'_>) -> rusqlite::Result<Option<SavedLight>> 
     Ok(Some(SavedLight { about, map: row.get(6)?, changed: row.get(7)?, lit }))
 }
 
-/// Edits in their order, and how many rows were left out.
-fn edits(connection: &Connection, scene: SceneNumber) -> Result<(Vec<(Sequence, Vec<u8>)>, usize), StoreError> {
+/// Requests of edits, in their order.
+type Bodies = Vec<(Sequence, Vec<u8>)>;
+
+/// Edits of a scene, and how many rows were left out.
+fn edits(connection: &Connection, scene: SceneNumber) -> Result<(Bodies, usize), StoreError> {
     let mut select =
         connection.prepare_cached("SELECT sequence, body FROM edits WHERE scene = ?1 ORDER BY sequence")?;
     let rows = select.query_map([scene as i64], |row| Ok((row.get::<_, i64>(0)? as Sequence, row.get(1)?)))?;
