@@ -13,7 +13,8 @@ fn load(glb: &[u8]) -> Scene {
 }
 
 static ROOM: LazyLock<World> = LazyLock::new(|| {
-    let options = WorldOptions { spacing: Some(1.0), max_elements: 5000, max_triangles: 10_000 };
+    let limits = WorldOptions { max_elements: 5000, max_triangles: 10_000, ..WorldOptions::default() };
+    let options = WorldOptions { spacing: Some(1.0), ..limits };
     World::new(load(include_bytes!("../seeds/gltf_upload/0.glb")), &options).expect("the room can be built")
 });
 static CRATE: LazyLock<Scene> = LazyLock::new(|| load(include_bytes!("../seeds/gltf_upload/1.glb")));

@@ -20,7 +20,8 @@ fuzz_target!(|data: &[u8]| {
         ..LoadLimits::default()
     };
     if let Ok(scene) = load(data, &limits) {
-        let options = WorldOptions { spacing: Some(1.0), max_elements: 5000, max_triangles: 10_000 };
+        let most = WorldOptions { max_elements: 5000, max_triangles: 10_000, ..WorldOptions::default() };
+        let options = WorldOptions { spacing: Some(1.0), ..most };
         let _ = World::new(scene, &options);
     }
 });

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use glam::{DMat4, DVec3, Vec3};
 use rebake_core::export::{EXR_WIDTH, write_exr};
 pub(crate) use rebake_core::layers::{Layer, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER};
-use rebake_core::scene::{self, Light, LightKind, LoadLimits};
+use rebake_core::scene::{self, DEFAULT_MAX_ALBEDO, Light, LightKind, LoadLimits};
 pub use rebake_core::scene::{LoadError, Scene};
 pub use rebake_core::surface::SurfaceError;
 pub use rebake_core::{
@@ -83,7 +83,7 @@ pub struct CoreEngine;
 
 impl Engine for CoreEngine {}
 
-/// Reads an uploaded file. Albedos above `max_albedo` count as that; where it is not given, above the default.
+/// Reads an uploaded file for a world whose largest albedo is `max_albedo`; where it is not given, the default.
 pub(crate) fn load(file: &[u8], limits: &Limits, max_albedo: Option<f32>) -> Result<Scene, LoadError> {
     let default = LoadLimits::default();
     let limits = LoadLimits {
@@ -92,7 +92,24 @@ pub(crate) fn load(file: &[u8], limits: &Limits, max_albedo: Option<f32>) -> Res
         max_albedo: max_albedo.unwrap_or(default.max_albedo),
         ..default
     };
-    let mut scene = scene::load(file, &limits)?;
+    load_within(file, &limits)
+}
+
+/// Reads a file that was accepted at some time: whatever the limits of uploads are now, it is there.
+pub(crate) fn load_again(file: &[u8], max_albedo: Option<f32>) -> Result<Scene, LoadError> {
+    let default = LoadLimits::default();
+    let limits = LoadLimits {
+        max_bytes: usize::MAX,
+        max_read_bytes: usize::MAX,
+        max_triangles: usize::MAX,
+        max_albedo: max_albedo.unwrap_or(default.max_albedo),
+        ..default
+    };
+    load_within(file, &limits)
+}
+
+fn load_within(file: &[u8], limits: &LoadLimits) -> Result<Scene, LoadError> {
+    let mut scene = scene::load(file, limits)?;
     if limits.max_albedo > LoadLimits::default().max_albedo {
         // Light of a closed room is down to a thousandth after as many bounces.
         let bounces = (1e-3_f32.ln() / limits.max_albedo.ln()).ceil();
@@ -125,14 +142,45 @@ pub(crate) fn add_environment(scene: &mut Scene, radiance: Vec3) -> bool {
 }
 
 /// Lays out elements and builds trees: seconds for large scenes.
-pub(crate) fn build(scene: Scene, spacing: Option<f32>, stated: Stated, limits: &Limits) -> Result<World, WorldError> {
+pub(crate) fn build(
+    scene: Scene,
+    spacing: Option<f32>,
+    stated: Stated,
+    max_albedo: Option<f32>,
+    limits: &Limits,
+) -> Result<World, WorldError> {
     let options = rebake_core::WorldOptions {
         spacing,
         max_elements: limits.elements,
         max_triangles: limits.subdivided_triangles,
         stated,
+        max_albedo: max_albedo.unwrap_or(DEFAULT_MAX_ALBEDO),
     };
     World::new(scene, &options)
+}
+
+/// As [`build`], of a scene that was accepted at some time: its edits are to be applied again, whatever the limits are
+/// now. [`limited`] ends that.
+pub(crate) fn build_again(
+    scene: Scene,
+    spacing: f32,
+    stated: Stated,
+    max_albedo: Option<f32>,
+) -> Result<World, WorldError> {
+    let options = rebake_core::WorldOptions {
+        spacing: Some(spacing),
+        // Slots are numbers of 32 bits.
+        max_elements: u32::MAX as usize,
+        max_triangles: usize::MAX,
+        stated,
+        max_albedo: max_albedo.unwrap_or(DEFAULT_MAX_ALBEDO),
+    };
+    World::new(scene, &options)
+}
+
+/// The world with the limits that hold for further edits.
+pub(crate) fn limited(world: World, limits: &Limits) -> World {
+    world.with_limits(limits.elements, limits.subdivided_triangles)
 }
 
 /// A world without anything in it: what is shown of a scene that cannot be built. A spacing that no world can have, as

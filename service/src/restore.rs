@@ -67,9 +67,9 @@ pub(crate) fn restore(app: &Arc<App>, disk: &Disk, saved: Saved) {
 
 fn restore_asset(app: &App, disk: &Disk, id: &str) -> Result<(), StoreError> {
     let glb = disk.asset(id)?;
-    let scene = engine::load(&glb, &app.config.limits, None)
-        .map_err(|error| StoreError::damaged("it cannot be read any more", error))?;
     // Scenes need what was acknowledged, whatever the limits are now.
+    let scene =
+        engine::load_again(&glb, None).map_err(|error| StoreError::damaged("it cannot be read any more", error))?;
     app.assets.insert(id.to_owned(), scene, glb.len());
     Ok(())
 }
@@ -88,7 +88,7 @@ fn restore_scene(app: &App, disk: &Disk, saved: &SavedScene) -> (Arc<SceneEntry>
 fn rebuild(app: &App, disk: &Disk, saved: &SavedScene) -> Result<(SceneEntry, bool), StoreError> {
     note_assets(app, saved);
     let record = saved.record.clone()?;
-    let uploaded = build(app, &disk.upload(saved)?, &record)?;
+    let uploaded = build(&disk.upload(saved)?, &record)?;
     // Whatever is wrong with the light can be baked again.
     let light = disk.light(saved);
     let replayed = replay(app, uploaded, &saved.edits, light.as_ref().ok().and_then(Option::as_ref))?;
@@ -131,15 +131,15 @@ fn note_assets(app: &App, saved: &SavedScene) {
     }
 }
 
-fn build(app: &App, glb: &[u8], record: &SceneRecord) -> Result<World, StoreError> {
+fn build(glb: &[u8], record: &SceneRecord) -> Result<World, StoreError> {
     let unreadable = |error: &dyn std::fmt::Display| StoreError::damaged("the upload cannot be read any more", error);
-    let mut scene = engine::load(glb, &app.config.limits, record.max_albedo).map_err(|error| unreadable(&error))?;
+    let mut scene = engine::load_again(glb, record.max_albedo).map_err(|error| unreadable(&error))?;
     if let Some(radiance) = record.environment {
         engine::add_environment(&mut scene, Vec3::from_array(radiance));
     }
     scene.warn_where_dark();
     scene.groups = record.groups.clone();
-    engine::build(scene, Some(record.spacing), record.mode.stated(), &app.config.limits)
+    engine::build_again(scene, record.spacing, record.mode.stated(), record.max_albedo)
         .map_err(|error| unreadable(&error))
 }
 
@@ -182,6 +182,7 @@ fn replay(
             replayed.unlit.push(Unlit { sequence: *sequence, transition, edits: edits.into() });
         }
     }
+    replayed.world = engine::limited(replayed.world, &app.config.limits);
     Ok(replayed)
 }
 

@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use super::durable::{fast_directory, insert, start};
-use super::glb::{Glb, crate_asset, room};
+use super::glb::{Glb, crate_asset, room, translation};
 use super::server::{Server, path_of};
 
 /// An asset of which there are as many as there are numbers.
@@ -90,6 +90,45 @@ async fn an_asset_that_is_refused_is_not_kept() {
     assert_eq!(count(&listed(&server, "").await), 1);
     assert!(server.get(&path_of(&scene)).await.json(200)["error"].is_null());
     server.post_glb("/v1/assets", numbered(0)).await.problem(409, "too-many-assets");
+    server.stop().await;
+}
+
+/// A limit is for what comes: what was acknowledged is there after a restart with lower ones, and so is what was
+/// inserted.
+#[tokio::test]
+async fn lower_limits_lose_nothing_that_was_acknowledged() {
+    let directory = fast_directory();
+    let limited = async |limits: fn(&mut rebake::Config)| {
+        Server::with(|config| {
+            config.data_dir = Some(directory.path().to_owned());
+            limits(config);
+        })
+        .await
+    };
+    let server = limited(|_| ()).await;
+    let asset = server.crate_asset().await;
+    let scene = server.baked_room("?samples_per_element=4").await;
+    server.end_of(&server.edit(&scene, &insert(&asset, "a")).await).await;
+    let before = server.get(&path_of(&scene)).await.json(200);
+    server.stop().await;
+    let server = limited(|config| {
+        let limits = &mut config.limits;
+        (limits.upload_bytes, limits.triangles, limits.elements, limits.subdivided_triangles) = (100, 1, 10, 10);
+    })
+    .await;
+    let after = server.get(&path_of(&scene)).await.json(200);
+    for field in ["error", "objects", "elements", "version"] {
+        assert_eq!(after[field], before[field], "{field}");
+    }
+    assert_eq!(count(&listed(&server, "").await), 1);
+    // They hold for what comes, not for edits of what is there.
+    let paint = json!({ "op": "material", "object": "a", "albedo": [0.1, 0.1, 0.1] });
+    server.end_of(&server.edit(&scene, &paint).await).await;
+    let step = json!({ "op": "move", "object": "a", "transform": translation(1.0, 0.0, 1.0) });
+    server.end_of(&server.edit(&scene, &step).await).await;
+    let told = server.post_json(&format!("{}/edits", path_of(&scene)), &insert(&asset, "b")).await;
+    told.problem(422, "edit-too-large");
+    server.post_glb("/v1/assets", crate_asset()).await.problem(413, "payload-too-large");
     server.stop().await;
 }
 

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 use std::io;
 use std::path::Path;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
 use rebake::faults::Faults;
@@ -137,4 +137,29 @@ async fn a_fault_at_any_write_is_told_and_loses_nothing() {
             server.stop().await;
         }
     }
+}
+
+/// An insert that could not be kept needs no asset.
+#[tokio::test]
+async fn an_asset_of_an_insert_that_failed_can_be_deleted() {
+    let directory = fast_directory();
+    let is_full = Arc::new(AtomicBool::new(false));
+    let its_full = is_full.clone();
+    let faults = Faults::new(move |_| match its_full.load(Ordering::SeqCst) {
+        true => Err(io::ErrorKind::StorageFull.into()),
+        false => Ok(()),
+    });
+    let server = Server::with(|config| {
+        config.data_dir = Some(directory.path().to_owned());
+        config.faults = faults;
+    });
+    let server = server.await;
+    let asset = server.crate_asset().await;
+    let scene = server.room("?bake=false").await;
+    let edits = format!("{}/edits", path_of(&scene));
+    is_full.store(true, Ordering::SeqCst);
+    server.post_json(&edits, &insert(&asset, "a")).await.problem(503, "storage");
+    is_full.store(false, Ordering::SeqCst);
+    assert_eq!(server.delete(&format!("/v1/assets/{asset}")).await.status, 204);
+    server.stop().await;
 }

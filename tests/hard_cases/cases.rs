@@ -153,7 +153,8 @@ fn scales() -> Vec<HardCase> {
             };
             let mut scene = Scene::from_objects(room_objects(0.7).into_iter().map(placed).collect());
             scene.origin = DVec3::splat(shift) + DVec3::splat(1.5 * scale);
-            let options = WorldOptions { spacing: Some(0.15 * scale as f32), ..WorldOptions::default() };
+            let options =
+                WorldOptions { spacing: Some(0.15 * scale as f32), max_albedo: 1.0, ..WorldOptions::default() };
             let before = World::new(scene, &options).expect("a scaled room");
             let thing = crate_at("crate", 2.2, 1.9, Vec3::splat(0.3));
             let asset = Arc::new(Scene::from_objects(vec![thing]));

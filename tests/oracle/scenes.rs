@@ -6,7 +6,7 @@ use rebake_core::{World, WorldOptions};
 
 /// A world of objects at a spacing.
 pub(super) fn world(objects: Vec<Object>, spacing: f32) -> World {
-    let options = WorldOptions { spacing: Some(spacing), ..WorldOptions::default() };
+    let options = WorldOptions { spacing: Some(spacing), max_albedo: 1.0, ..WorldOptions::default() };
     World::new(Scene::from_objects(objects), &options).expect("a test scene")
 }
 

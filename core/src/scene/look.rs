@@ -9,7 +9,7 @@ use super::TextureUse;
 /// out are no surface.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Look {
-    /// Base colour factor, linear RGB, each in 0..=1. Not capped as [`super::Material::albedo`] is.
+    /// Base colour factor, linear RGB, each in 0..=1.
     pub factor: Vec3,
     /// Alpha factor, 0..=1.
     pub alpha: f32,

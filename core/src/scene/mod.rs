@@ -77,11 +77,14 @@ pub struct Mesh {
     pub colors: Vec<Vec4>,
 }
 
+/// Largest albedo that light meets where nothing else is said.
+pub const DEFAULT_MAX_ALBEDO: f32 = 0.95;
+
 /// A diffuse material.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Material {
-    /// Diffuse albedo, linear RGB, each in 0..=1: the mean over the material's textures, capped at
-    /// [`LoadLimits::max_albedo`].
+    /// Diffuse albedo, linear RGB, each in 0..=1: the mean over the material's textures. Light meets at most what its
+    /// world allows ([`crate::WorldOptions::max_albedo`]).
     pub albedo: Vec3,
     /// Emitted radiance at upload, linear RGB. The radiance in force is the strength of the [`Light`] of this material.
     pub emission: Vec3,

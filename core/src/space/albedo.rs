@@ -1,5 +1,8 @@
-//! Albedo by place: every element has the mean of what its cells show, in linear light, so that
-//! the energy is right and no texture is read while rays are traced.
+//! What surfaces reflect. By place every element has the mean of what its footprint shows, in linear light, so that the
+//! energy is right and no texture is read while rays are traced. The cap of the world is applied
+//! here and nowhere else: whatever a file, an inserted asset or a repaint says, light ends in a closed room.
+
+use std::sync::Arc;
 
 use glam::{Vec2, Vec3};
 
@@ -7,12 +10,49 @@ use super::layout::Layout;
 use crate::scene::{Look, Mesh, Object};
 use crate::surface::{Surface, barycentrics};
 
-/// Albedos by place are at most this, or what their material was allowed to have.
-const MOST_ALBEDO: f32 = 0.95;
+/// A diffuse albedo, linear RGB, as it is told and as light has it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Albedo {
+    /// Of the file or the paint, each part in 0..=1.
+    pub told: Vec3,
+    /// At most what the world allows.
+    pub reflected: Vec3,
+}
+
+impl Albedo {
+    /// Caps what is told at `most`.
+    pub(crate) fn new(told: Vec3, most: f32) -> Albedo {
+        Albedo { told, reflected: told.min(Vec3::splat(most)) }
+    }
+}
+
+/// What an object reflects.
+pub(crate) struct Albedos {
+    /// Per material: where it is the same all over, else with the mean over the object as what is told.
+    pub of_materials: Vec<Albedo>,
+    /// Per element of one side, as light has it. None where every material is the same all over.
+    pub by_place: Option<Arc<[Vec3]>>,
+}
+
+impl Albedos {
+    /// The albedos of an object whose elements have these areas, capped at `most`.
+    pub(crate) fn new(object: &Object, surface: &Surface, layout: &Layout, areas: &[f32], most: f32) -> Albedos {
+        let mut of_materials: Vec<Albedo> = object.materials.iter().map(|m| Albedo::new(m.albedo, most)).collect();
+        let by_place = by_place(object, surface, layout).map(|told| {
+            let total: f32 = areas.iter().sum();
+            if total > 0.0 {
+                let mean = told.iter().zip(areas).map(|(told, area)| *told * *area).sum::<Vec3>() / total;
+                of_materials.iter_mut().for_each(|albedo| albedo.told = mean);
+            }
+            told.into_iter().map(|told| Albedo::new(told, most).reflected).collect()
+        });
+        Albedos { of_materials, by_place }
+    }
+}
 
 /// Per element of one side: mean of base colour × vertex colour × factor over its cells, weighted by area, holes left
 /// out. None where every material of an object is the same all over.
-pub(crate) fn albedos(object: &Object, surface: &Surface, layout: &Layout) -> Option<Vec<Vec3>> {
+fn by_place(object: &Object, surface: &Surface, layout: &Layout) -> Option<Vec<Vec3>> {
     let look = |material: usize| object.looks.get(material).and_then(Option::as_deref);
     let is_textured = |material: usize| look(material).is_some_and(|look| look.base_color.is_some());
     let mesh = &*object.mesh;
@@ -30,8 +70,7 @@ pub(crate) fn albedos(object: &Object, surface: &Surface, layout: &Layout) -> Op
             None => (uniform * corners.color(&places), 1.0),
         };
         let [a, b, c] = patch.corners;
-        let limit = Vec3::splat(MOST_ALBEDO.max(uniform.max_element()));
-        Some((patch.elements, color.clamp(Vec3::ZERO, limit), weight * (b - a).cross(c - a).length(), uniform))
+        Some((patch.elements, color.clamp(Vec3::ZERO, Vec3::ONE), weight * (b - a).cross(c - a).length(), uniform))
     });
     let mut sums = vec![(Vec3::ZERO, 0.0_f32, Vec3::ZERO); layout.len()];
     for (element, color, weight, uniform) in
@@ -80,8 +119,6 @@ impl Corners {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use glam::{DMat4, Mat2, Vec4};
 
     use super::*;
@@ -109,7 +146,8 @@ mod tests {
     fn laid(object: &Object) -> (Vec<Vec3>, Vec<Vec3>) {
         let surface = Surface::build(object, DMat4::IDENTITY).expect("a square");
         let (layout, elements) = Layout::new(&surface, 0.05, 10_000).expect("elements");
-        (elements.positions, albedos(object, &surface, &layout).expect("albedos"))
+        let albedos = Albedos::new(object, &surface, &layout, &elements.areas, 0.95);
+        (elements.positions, albedos.by_place.expect("albedos").to_vec())
     }
 
     #[test]
@@ -152,12 +190,41 @@ mod tests {
         let scene = Scene::from_objects(vec![square(AlphaUse::Ignored), lamp]);
         let textured = World::new(scene, &options).expect("a world");
         let albedo_of = |world: &World| world.objects().next().expect("a square").albedo;
-        assert!(albedo_of(&textured).distance(Vec3::new(0.25, 0.125, 0.475)) < 0.02, "{}", albedo_of(&textured));
+        assert!(albedo_of(&textured).distance(Vec3::new(0.25, 0.125, 0.5)) < 0.02, "{}", albedo_of(&textured));
         let paint = Edit::Material { object: "square".into(), albedo: Vec3::new(0.1, 0.2, 0.3) };
         let painted = textured.apply(&[paint]).expect("paint").after;
         assert!(albedo_of(&painted).distance(Vec3::new(0.1, 0.2, 0.3)) < 1e-6);
         assert_eq!(painted.objects().next().expect("a square").name, "square");
         assert_eq!(painted.element_count(), textured.element_count());
         assert_eq!(painted.scene.lights, textured.scene.lights);
+    }
+
+    /// One cap for what is loaded, inserted and painted; what is told of an object is as it was said.
+    #[test]
+    fn a_world_caps_what_light_meets_wherever_it_comes_from() {
+        let white = || Object::new("white", Mesh::quad(Vec3::ZERO, Vec3::X, Vec3::Y), Material::diffuse(Vec3::ONE));
+        let mut tinted = white();
+        tinted.name = "tinted".to_owned();
+        let mesh = Arc::make_mut(&mut tinted.mesh);
+        mesh.colors = mesh.positions.iter().map(|_| Vec4::new(1.0, 0.5, 0.25, 1.0)).collect();
+        let asset = Arc::new(Scene::from_objects(vec![white()]));
+        for max_albedo in [0.95, 0.9, 1.0] {
+            let options = WorldOptions { spacing: Some(0.5), max_albedo, ..WorldOptions::default() };
+            let start = World::new(Scene::from_objects(vec![white(), tinted.clone()]), &options).expect("a world");
+            let insert = Edit::Insert { asset: asset.clone(), name: "come".into(), transform: DMat4::IDENTITY };
+            let paint = ["tinted", "come"].map(|object| Edit::Material { object: object.into(), albedo: Vec3::ONE });
+            let inserted = start.apply(&[insert]).expect("an insert").after;
+            let painted = inserted.apply(&paint).expect("paint").after;
+            let reflected = |world: &World, object: usize| {
+                let part = &world.space.parts_of(&world.placed[object].placement)[0];
+                part.albedos.as_ref().map_or(part.albedo, |albedos| albedos[0])
+            };
+            let told = |world: &World| world.objects().map(|object| object.albedo).collect::<Vec<_>>();
+            let capped = Vec3::splat(max_albedo);
+            assert_eq!([0, 1, 2].map(|i| reflected(&inserted, i)), [capped, Vec3::new(max_albedo, 0.5, 0.25), capped]);
+            assert_eq!([0, 1, 2].map(|i| reflected(&painted, i)), [capped; 3]);
+            assert!(told(&inserted)[1].distance(Vec3::new(1.0, 0.5, 0.25)) < 1e-6, "{:?}", told(&inserted));
+            assert!(told(&painted).iter().all(|told| *told == Vec3::ONE), "{:?}", told(&painted));
+        }
     }
 }

@@ -20,7 +20,7 @@ mod subdivide;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use albedo::albedos;
+pub(crate) use albedo::{Albedo, Albedos};
 pub(crate) use cells::Patch;
 pub(crate) use footprint::{Footprint, Spot};
 pub(crate) use layout::{Elements, Layout};
@@ -71,7 +71,7 @@ impl Space {
         &mut self,
         (surface, layout, elements): (&Surface, &Arc<Layout>, &Elements),
         albedos: Option<&Arc<[Vec3]>>,
-        materials: impl ExactSizeIterator<Item = (Vec3, bool)>,
+        materials: impl ExactSizeIterator<Item = (Albedo, bool)>,
         key: u32,
         with_back: bool,
     ) -> Placement {
@@ -81,8 +81,9 @@ impl Space {
         let cells = parts.take_cells(layout.ids());
         let faces = Arc::make_mut(&mut self.faces);
         let first_face = faces.take(surface.triangles.len());
-        let part = |(albedo, double_sided)| Part {
-            albedo,
+        let part = |(albedo, double_sided): (Albedo, bool)| Part {
+            albedo: albedo.reflected,
+            told_albedo: albedo.told,
             albedos: albedos.cloned(),
             object: key,
             extent,

@@ -10,8 +10,11 @@ use super::slots::NO_OBJECT;
 /// The triangles of one object that share a material.
 #[derive(Clone, Debug)]
 pub(crate) struct Part {
-    /// Diffuse albedo, where it is the same all over; its mean elsewhere.
+    /// Diffuse albedo as light has it, where it is the same all over; that of its mean elsewhere.
     pub albedo: Vec3,
+    /// What clients are told: of the file or the paint, before the world's cap; where albedo goes by place, the mean
+    /// over the object.
+    pub told_albedo: Vec3,
     /// Per element of one side of the object, where it is not.
     pub albedos: Option<Arc<[Vec3]>>,
     /// Key of the object; [`super::NO_OBJECT`] where the part is free.
@@ -38,6 +41,7 @@ impl Part {
     pub(super) fn free() -> Part {
         Part {
             albedo: Vec3::ZERO,
+            told_albedo: Vec3::ZERO,
             albedos: None,
             object: NO_OBJECT,
             extent: 0.0,

@@ -254,7 +254,7 @@ fn what_is_freed_is_used_again() {
     let laid = lay(Mesh::cuboid(Vec3::ZERO, Vec3::ONE), 0.2);
     let layout = Arc::new(laid.layout.clone());
     let place = |space: &mut Space, key| {
-        let materials = [(Vec3::ONE, false), (Vec3::ZERO, true)];
+        let materials = [(Albedo::new(Vec3::ONE, 1.0), false), (Albedo::default(), true)];
         let parts = (&laid.surface, &layout, &laid.elements);
         space.place(parts, None, materials.into_iter(), key, key % 2 == 1)
     };

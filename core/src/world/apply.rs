@@ -13,6 +13,7 @@ use super::{Placed, Transition, Validity, World, WorldError, probe};
 use crate::bvh::{BuildQuality, Bvh};
 use crate::edit::{Edit, EditError, EditErrorKind, name_matches};
 use crate::scene::{Light, LightKind, Object, Scene, merge_as_object};
+use crate::space::Albedo;
 
 impl World {
     /// Applies edits as a unit. On an error nothing has changed and the error names the field at fault.
@@ -244,8 +245,9 @@ impl Draft {
         if parts.iter().any(|part| part.albedos.is_some()) {
             return self.paint_over(index);
         }
+        let albedo = Albedo::new(albedo, self.world.options.max_albedo);
         let parts = self.world.space.parts_of_mut(&self.world.placed[index].placement);
-        parts.iter_mut().for_each(|part| part.albedo = albedo);
+        parts.iter_mut().for_each(|part| (part.albedo, part.told_albedo) = (albedo.reflected, albedo.told));
         Ok(())
     }
 

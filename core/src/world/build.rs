@@ -10,7 +10,7 @@ use super::emitters::EmissiveTriangle;
 use super::{Coarse, Emitters, Placed, Resolution, Trees, Validity, World, WorldError, WorldOptions, probe};
 use crate::bvh::{BuildQuality, Bvh};
 use crate::scene::{Object, Scene};
-use crate::space::{Elements, Layout, Space, albedos};
+use crate::space::{Albedo, Albedos, Elements, Layout, Space};
 use crate::surface::{DEFAULT_ELEMENTS, Surface, default_spacing, object_area};
 
 /// Edge of the cells that smooth light is evaluated in, in units of [`Resolution::smooth`].
@@ -19,6 +19,9 @@ pub(crate) const COARSE_RADIUS: f32 = 2.5;
 pub(super) fn build(scene: Scene, options: &WorldOptions) -> Result<World, WorldError> {
     let default = default_spacing(scene.objects.par_iter().map(object_area).sum(), DEFAULT_ELEMENTS);
     let spacing = spacing_of(options, default)?;
+    if !(0.0..=1.0).contains(&options.max_albedo) {
+        return Err(WorldError::MaxAlbedo(options.max_albedo));
+    }
     // Meshes may be finer than a spacing that is given, and light then shows details that large cells would blur.
     let resolution = Resolution { spacing, smooth: spacing.min(default) };
     let ready: Vec<Ready> =
@@ -73,7 +76,7 @@ pub(super) struct Ready {
     pub layout: Arc<Layout>,
     pub coarse: Arc<Coarse>,
     pub elements: Elements,
-    pub albedos: Option<Arc<[Vec3]>>,
+    pub albedos: Albedos,
 }
 
 impl Ready {
@@ -87,8 +90,8 @@ impl Ready {
         let error = |source| WorldError::Surface { object: object.name.clone(), source };
         let surface = Surface::build(object, scene_from_object(scene, object)).map_err(error)?;
         let (layout, elements) = Layout::new(&surface, resolution.spacing, options.max_elements).map_err(error)?;
-        let albedos = albedos(object, &surface, &layout).map(Into::into);
         let Elements { positions, normals, areas } = &elements;
+        let albedos = Albedos::new(object, &surface, &layout, areas, options.max_albedo);
         let coarse = Coarse::new(positions, normals, areas, COARSE_RADIUS * resolution.smooth);
         Ok(Ready { surface: Arc::new(surface), layout: Arc::new(layout), coarse: Arc::new(coarse), elements, albedos })
     }
@@ -100,17 +103,25 @@ impl Ready {
             layout: Arc::clone(&placed.layout),
             coarse: Arc::clone(&placed.coarse),
             elements: world.space.elements_of(&placed.placement, &placed.layout),
-            albedos: world.space.parts_of(&placed.placement).first().and_then(|part| part.albedos.clone()),
+            albedos: albedos_of(world, placed),
         }
     }
 
     /// Gives it slots.
     pub(super) fn place(self, space: &mut Space, object: &Object, key: u32, with_back: bool) -> Placed {
         let Ready { surface, layout, coarse, elements, albedos } = self;
-        let materials = object.materials.iter().map(|m| (m.albedo, m.double_sided));
-        let placement = space.place((&surface, &layout, &elements), albedos.as_ref(), materials, key, with_back);
+        let materials = albedos.of_materials.into_iter().zip(object.materials.iter().map(|m| m.double_sided));
+        let placement =
+            space.place((&surface, &layout, &elements), albedos.by_place.as_ref(), materials, key, with_back);
         Placed { key, surface, layout, coarse, placement, with_back }
     }
+}
+
+/// The albedos of an object that is placed.
+fn albedos_of(world: &World, placed: &Placed) -> Albedos {
+    let parts = world.space.parts_of(&placed.placement);
+    let of_materials = parts.iter().map(|part| Albedo { told: part.told_albedo, reflected: part.albedo }).collect();
+    Albedos { of_materials, by_place: parts.first().and_then(|part| part.albedos.clone()) }
 }
 
 pub(super) fn check_size<'a>(

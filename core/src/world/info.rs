@@ -23,7 +23,8 @@ pub struct ObjectInfo<'a> {
     pub triangle_count: u32,
     /// World-space bounds, metres.
     pub bounds: (DVec3, DVec3),
-    /// Area-weighted mean of the albedo.
+    /// Area-weighted mean of the albedo as the file or a repaint has it; light meets at most
+    /// [`crate::WorldOptions::max_albedo`].
     pub albedo: Vec3,
 }
 
@@ -46,18 +47,9 @@ impl World {
             let (low, high) = if surface.positions.is_empty() { (place, place) } else { surface.bounds() };
             let (mut albedo, mut area) = (Vec3::ZERO, 0.0);
             let parts = self.space.parts_of(&placed.placement);
-            let by_place = parts.first().and_then(|part| part.albedos.as_ref());
-            if let Some(albedos) = by_place {
-                let slots = placed.placement.element_indices();
-                for (here, element) in albedos.iter().zip(&self.areas()[slots]) {
-                    albedo += *here * *element;
-                    area += *element;
-                }
-            }
-            let alike = surface.all_corners().zip(&surface.triangle_materials).filter(|_| by_place.is_none());
-            for ([a, b, c], m) in alike {
+            for ([a, b, c], m) in surface.all_corners().zip(&surface.triangle_materials) {
                 let weight = (b - a).cross(c - a).length();
-                albedo += parts[*m as usize].albedo * weight;
+                albedo += parts[*m as usize].told_albedo * weight;
                 area += weight;
             }
             ObjectInfo {

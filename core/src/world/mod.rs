@@ -35,7 +35,7 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::scene::Scene;
+use crate::scene::{DEFAULT_MAX_ALBEDO, Scene};
 use crate::space::{Layout, Placement, Space};
 use crate::surface::{Surface, SurfaceError};
 
@@ -50,6 +50,9 @@ pub struct WorldOptions {
     pub max_triangles: usize,
     /// What light maps state the error of.
     pub stated: Stated,
+    /// Largest albedo that light meets, from 0 to 1: where a surface has more, of the file, an inserted asset or a
+    /// repaint, this counts. In a closed room of albedo 1 light has no end.
+    pub max_albedo: f32,
 }
 
 /// Light whose error is stated, and by which samples are spent.
@@ -75,7 +78,13 @@ impl Stated {
 
 impl Default for WorldOptions {
     fn default() -> Self {
-        WorldOptions { spacing: None, max_elements: 20_000_000, max_triangles: 40_000_000, stated: Stated::Full }
+        WorldOptions {
+            spacing: None,
+            max_elements: 20_000_000,
+            max_triangles: 40_000_000,
+            stated: Stated::Full,
+            max_albedo: DEFAULT_MAX_ALBEDO,
+        }
     }
 }
 
@@ -85,6 +94,9 @@ pub enum WorldError {
     /// `spacing` is not a finite positive number.
     #[error("spacing: must be a finite number above 0, not {0}")]
     Spacing(f32),
+    /// `max_albedo` is no number from 0 to 1.
+    #[error("max_albedo: must be a number from 0 to 1, not {0}")]
+    MaxAlbedo(f32),
     /// An object cannot be subdivided.
     #[error("object {object:?}: {source}")]
     Surface {
@@ -167,6 +179,14 @@ impl World {
     /// Largest distance between neighbouring elements, metres.
     pub fn spacing(&self) -> f32 {
         self.resolution.spacing
+    }
+
+    /// This world with other limits, for edits from here on. What is there stays and may be edited: they are never less
+    /// than what it takes.
+    pub fn with_limits(self, max_elements: usize, max_triangles: usize) -> World {
+        let max_elements = max_elements.max(self.element_count());
+        let max_triangles = max_triangles.max(self.triangle_count());
+        World { options: WorldOptions { max_elements, max_triangles, ..self.options }, ..self }
     }
 
     /// What light maps state the error of.

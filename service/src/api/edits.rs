@@ -161,8 +161,9 @@ fn accept(
     let key = key.map(|(key, body_hash)| KeyRecord { key, body_hash, job: ticket.number, answer: answer.clone() });
     let edit = transition.is_some().then_some(EditRecord { sequence: spec.sequence, body });
     let gone = |asset| Problem::new(Kind::UnknownAsset, format!("the asset {asset:?} was deleted"));
-    app.assets.need(scene.number, &inserted(&parsed)).map_err(gone)?;
-    app.store.accepted(&Accepted { scene: scene.number, edit, job: &record, key: key.as_ref(), jobs })?;
+    let needed = app.assets.need(scene.number, &inserted(&parsed)).map_err(gone)?;
+    let kept = app.store.accepted(&Accepted { scene: scene.number, edit, job: &record, key: key.as_ref(), jobs });
+    kept.inspect_err(|_| app.assets.unneed(scene.number, &needed))?;
     let unlit = transition.map(|transition| {
         head.world = transition.after.clone();
         head.sequence = spec.sequence;

@@ -62,8 +62,7 @@ pub(crate) async fn read_upload<'a>(
     }
     let full = |full| super::uploads::memory_problem("upload", full);
     let mut room = app.promise_memory(0, 0).map_err(full)?;
-    // The system gives the memory as it is written to.
-    let mut glb = BytesMut::with_capacity(announced.unwrap_or(0) as usize);
+    let mut glb = BytesMut::with_capacity(reserved(announced));
     let read = async {
         loop {
             let next = tokio::time::timeout(timeouts.body_idle, body.frame()).await;
@@ -82,6 +81,11 @@ pub(crate) async fn read_upload<'a>(
     let read = tokio::time::timeout(timeouts.body, read).await;
     read.map_err(|_| late(timeouts.body, "the body did not arrive within"))??;
     Ok((glb.freeze(), room))
+}
+
+/// Bytes to reserve for a body: what is only announced takes no more of the memory than this.
+fn reserved(announced: Option<u64>) -> usize {
+    announced.unwrap_or(0).min(1 << 20) as usize
 }
 
 fn late(limit: Duration, what: &str) -> Problem {
@@ -234,6 +238,11 @@ mod tests {
             map.append(name, value.parse().unwrap());
         }
         map
+    }
+
+    #[test]
+    fn an_announced_length_reserves_little() {
+        assert_eq!([None, Some(100), Some(u64::MAX)].map(reserved), [0, 100, 1 << 20]);
     }
 
     #[test]

@@ -71,7 +71,8 @@ pub struct Scene {
     pub estimated_rmse: Option<f32>,
     /// Accepted edits whose light is not in the map yet: those of jobs that wait, run or were canceled.
     pub unlit_edits: u64,
-    /// The objects, in order.
+    /// The objects, in order. Their `albedo` is the mean of the file or of the last repaint; light meets at most
+    /// `max_albedo`.
     pub objects: Vec<Object>,
     /// The lights, in order.
     pub lights: Vec<Light>,
@@ -156,7 +157,8 @@ pub struct Object {
     pub triangles: u32,
     /// Where it is.
     pub bounds: Bounds,
-    /// Mean diffuse albedo, linear RGB.
+    /// Mean diffuse albedo, linear RGB, as the file or the last repaint has it. Light meets at most the scene's
+    /// `max_albedo`.
     #[schema(example = json!([0.6, 0.1, 0.1]))]
     pub albedo: [f32; 3],
     /// Object space to world space, column-major, metres: what `move` replaces.

@@ -55,7 +55,8 @@ pub(super) struct CreateQuery {
     /// Constant radiance from outside, `r,g,b`: adds a light named `environment`.
     #[param(example = "1,1,1")]
     environment: Option<String>,
-    /// Largest albedo, above 0 and up to 0.999: what is above counts as this. 0.95 where absent.
+    /// Largest albedo that light meets, above 0 and up to 0.999: what is above, of the file, of inserted assets and of
+    /// repaints, counts as this. 0.95 where absent.
     #[param(example = 0.99)]
     max_albedo: Option<f32>,
     /// Which lights have layers of their own in the light map, so that relighting them needs no rays: `shared` (none,
@@ -245,7 +246,7 @@ fn build_world(app: &App, glb: &Bytes, options: &Options) -> ApiResult<World> {
     let of_layers = memory::estimate_layers(bytes, layers::count(&scene, &scene.groups));
     let what = if of_layers > 0 { "scene with its layers" } else { "scene" };
     let _promise = app.promise_memory(bytes.saturating_add(of_layers), 0).map_err(|full| memory_problem(what, full))?;
-    engine::build(scene, spacing, options.mode.stated(), limits).map_err(|error| match error {
+    engine::build(scene, spacing, options.mode.stated(), options.max_albedo, limits).map_err(|error| match error {
         WorldError::TooLarge { .. } | WorldError::Surface { source: SurfaceError::TooManyElements { .. }, .. } => {
             Problem::new(Kind::SceneTooLarge, error.to_string())
         }

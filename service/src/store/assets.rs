@@ -130,19 +130,26 @@ impl Assets {
         listed.collect()
     }
 
-    /// A scene needs these assets from here on. The first that is not there, where one is not; nothing is noted then.
-    pub(crate) fn need<'a>(&self, scene: SceneNumber, ids: &[&'a str]) -> Result<(), &'a str> {
+    /// A scene needs these assets from here on: those that it did not need before. The first that is not there, where
+    /// one is not; nothing is noted then.
+    pub(crate) fn need<'a>(&self, scene: SceneNumber, ids: &[&'a str]) -> Result<Vec<&'a str>, &'a str> {
         let mut held = self.write();
         let is_there = |id: &&&str| held.by_hash.get(**id).is_some_and(|entry| !entry.is_leaving);
         if let Some(missing) = ids.iter().find(|id| !is_there(id)) {
             return Err(missing);
         }
+        let mut note = |id: &&str| held.by_hash.get_mut(*id).is_some_and(|entry| entry.needed_by.insert(scene));
+        Ok(ids.iter().copied().filter(|id| note(id)).collect())
+    }
+
+    /// Takes back what [`Assets::need`] noted: what the scene was to insert was not kept.
+    pub(crate) fn unneed(&self, scene: SceneNumber, ids: &[&str]) {
+        let mut held = self.write();
         for id in ids {
             if let Some(entry) = held.by_hash.get_mut(*id) {
-                entry.needed_by.insert(scene);
+                entry.needed_by.remove(&scene);
             }
         }
-        Ok(())
     }
 
     /// A scene is gone, with its history.
@@ -205,7 +212,8 @@ mod tests {
         assert_eq!(assets.check_room(41), Err(NoRoom));
         assert_eq!(assets.check_room(40), Ok(()));
         assert_eq!(assets.need(7, &["a", "b"]), Err("b"));
-        assert_eq!(assets.need(7, &["a"]), Ok(()));
+        assert_eq!(assets.need(7, &["a", "a"]), Ok(vec!["a"]));
+        assert_eq!(assets.need(7, &["a"]), Ok(vec![]));
         let delete = |id: &str, forgotten: Result<(), ()>| assets.delete(id, || forgotten);
         assert_eq!(delete("b", Ok(())), Ok(Err(Stays::Unknown)));
         assert_eq!(delete("a", Ok(())), Ok(Err(Stays::Needed(vec![7]))));

@@ -8,7 +8,7 @@ use json::{Accessor, Index};
 
 use super::container::File;
 use super::views::view_bytes;
-use super::{LoadError, malformed};
+use super::{LoadError, malformed, too_large};
 
 /// Values of one accessor as they lie in the file.
 struct Layout<'a> {
@@ -19,25 +19,34 @@ struct Layout<'a> {
     count: usize,
 }
 
+/// How many values an accessor may have.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Most {
+    /// So many.
+    pub(super) count: usize,
+    /// Of what, with the limit that says so: words and number of the answer to more.
+    pub(super) of: (&'static str, usize),
+}
+
 /// Numbers of `N` components each: `f32`, or integers as `KHR_mesh_quantization` and the core specification allow them
 /// for some attributes (normalised ones become 0..=1 or −1..=1). Not checked to be finite.
 pub(super) fn read_floats<const N: usize>(
     file: &File<'_>,
     index: Index<Accessor>,
-    max_count: usize,
+    most: Most,
     place: &str,
 ) -> Result<Vec<[f32; N]>, LoadError> {
     let (accessor, component) = expect(file, index, shape_of(N), place)?;
     let read = float_reader(component, accessor.normalized);
     let read = read.ok_or_else(|| malformed(place, "has 32-bit integers for fractions"))?;
-    read_all::<f32, N>(file, accessor, component, max_count, place, read)
+    read_all::<f32, N>(file, accessor, component, most, place, read)
 }
 
 /// Positions or normals. Integers only where the file uses `KHR_mesh_quantization`. Not checked to be finite.
 pub(super) fn read_vec3(
     file: &File<'_>,
     index: Index<Accessor>,
-    max_count: usize,
+    most: Most,
     place: &str,
 ) -> Result<Vec<[f32; 3]>, LoadError> {
     let (_, component) = expect(file, index, Type::Vec3, place)?;
@@ -48,21 +57,21 @@ pub(super) fn read_vec3(
     if component == ComponentType::U32 {
         return Err(malformed(place, "has 32-bit integers for coordinates"));
     }
-    read_floats(file, index, max_count, place)
+    read_floats(file, index, most, place)
 }
 
 /// Colours: RGB or RGBA, `f32` or normalised integers; alpha is 1 where there is none. All finite.
 pub(super) fn read_colors(
     file: &File<'_>,
     index: Index<Accessor>,
-    max_count: usize,
+    most: Most,
     place: &str,
 ) -> Result<Vec<[f32; 4]>, LoadError> {
     let accessor = file.root.get(index).ok_or_else(|| malformed(place, "its accessor does not exist"))?;
     let colors = if accessor.type_ == Checked::Valid(Type::Vec4) {
-        read_floats::<4>(file, index, max_count, place)?
+        read_floats::<4>(file, index, most, place)?
     } else {
-        let colors = read_floats::<3>(file, index, max_count, place)?;
+        let colors = read_floats::<3>(file, index, most, place)?;
         colors.into_iter().map(|[r, g, b]| [r, g, b, 1.0]).collect()
     };
     require_finite(&colors, place)?;
@@ -73,25 +82,25 @@ pub(super) fn read_colors(
 pub(super) fn read_joints(
     file: &File<'_>,
     index: Index<Accessor>,
-    max_count: usize,
+    most: Most,
     place: &str,
 ) -> Result<Vec<[u32; 4]>, LoadError> {
     let (accessor, component) = expect(file, index, Type::Vec4, place)?;
     let read = index_reader(component).ok_or_else(|| malformed(place, "joints must be unsigned integers"))?;
-    read_all::<u32, 4>(file, accessor, component, max_count, place, read)
+    read_all::<u32, 4>(file, accessor, component, most, place, read)
 }
 
 /// 4 × 4 matrices, column by column.
 pub(super) fn read_matrices(
     file: &File<'_>,
     index: Index<Accessor>,
-    max_count: usize,
+    most: Most,
     place: &str,
 ) -> Result<Vec<[f32; 16]>, LoadError> {
     let (accessor, component) = expect(file, index, Type::Mat4, place)?;
     let read = float_reader(component, false).filter(|_| component == ComponentType::F32);
     let read = read.ok_or_else(|| malformed(place, "matrices must be of f32"))?;
-    let matrices = read_all::<f32, 16>(file, accessor, component, max_count, place, read)?;
+    let matrices = read_all::<f32, 16>(file, accessor, component, most, place, read)?;
     require_finite(&matrices, place)?;
     Ok(matrices)
 }
@@ -100,12 +109,12 @@ pub(super) fn read_matrices(
 pub(super) fn read_indices(
     file: &File<'_>,
     index: Index<Accessor>,
-    max_count: usize,
+    most: Most,
     place: &str,
 ) -> Result<Vec<u32>, LoadError> {
     let (accessor, component) = expect(file, index, Type::Scalar, place)?;
     let read = index_reader(component).ok_or_else(|| malformed(place, "indices must be unsigned integers"))?;
-    let values = read_all::<u32, 1>(file, accessor, component, max_count, place, read)?;
+    let values = read_all::<u32, 1>(file, accessor, component, most, place, read)?;
     Ok(values.into_iter().map(|[value]| value).collect())
 }
 
@@ -169,20 +178,17 @@ fn read_all<T: Copy + Default, const N: usize>(
     file: &File<'_>,
     accessor: &Accessor,
     component: ComponentType,
-    max_count: usize,
+    most: Most,
     place: &str,
     read: fn(&[u8]) -> T,
 ) -> Result<Vec<[T; N]>, LoadError> {
     let count = match usize::try_from(accessor.count.0) {
         Ok(0) => return Err(malformed(place, "its accessor has no values")),
         // Checked before anything is allocated: values of a sparse accessor need not exist in the file.
-        Ok(count) if count <= max_count => count,
-        _ => {
-            let text =
-                format!("{place}: its accessor has {} values, at most {max_count} are allowed", accessor.count.0);
-            return Err(LoadError::TooLarge(text));
-        }
+        Ok(count) if count <= most.count => count,
+        _ => return Err(too_large(most.of.0, most.of.1)),
     };
+    file.read.take(count.saturating_mul(size_of::<[T; N]>()), place)?;
     let offset = accessor.byte_offset.unwrap_or_default().0;
     let layout = match accessor.buffer_view {
         Some(view) => layout(file, view, offset, count, component, N, place)?,
@@ -257,6 +263,7 @@ fn apply_sparse<T: Copy + Default, const N: usize>(
         return Err(malformed(place, "their indices have an unknown type"));
     };
     let index_type = index_type.0;
+    file.read.take(count.saturating_mul(size_of::<u32>() + size_of::<[T; N]>()), place)?;
     let read_index = index_reader(index_type).ok_or_else(|| malformed(place, "indices must be unsigned integers"))?;
     let (indices, data) = (&sparse.indices, &sparse.values);
     let at = layout(file, indices.buffer_view, indices.byte_offset.0, count, index_type, 1, place)?;

@@ -5,7 +5,7 @@ use json::accessor::ComponentType;
 use json::mesh::{Primitive, Semantic};
 use json::validation::Checked;
 
-use super::accessor::{read_colors, read_floats, read_indices, read_joints, read_vec3, require_finite};
+use super::accessor::{Most, read_colors, read_floats, read_indices, read_joints, read_vec3, require_finite};
 use super::container::File;
 use super::draco::Decoded;
 use super::{LoadError, malformed};
@@ -16,7 +16,7 @@ pub(super) struct Attributes<'f> {
     pub(super) primitive: &'f Primitive,
     /// Decompressed attributes and indices.
     pub(super) draco: Option<Decoded<'f>>,
-    pub(super) max_vertices: usize,
+    pub(super) max_vertices: Most,
     pub(super) place: &'f str,
 }
 
@@ -113,9 +113,9 @@ impl Attributes<'_> {
     }
 
     /// Vertex indices, perhaps out of range; of all vertices in their order where the primitive has none.
-    pub(super) fn indices(&self, count: usize, max_indices: usize) -> Result<Vec<u32>, LoadError> {
+    pub(super) fn indices(&self, count: usize, max_indices: Most) -> Result<Vec<u32>, LoadError> {
         match (&self.draco, self.primitive.indices) {
-            (Some(draco), _) => Ok(draco.indices()),
+            (Some(draco), _) => draco.indices(self.place),
             (None, Some(index)) => read_indices(self.file, index, max_indices, &format!("{}, indices", self.place)),
             (None, None) => Ok((0..count as u32).collect()),
         }

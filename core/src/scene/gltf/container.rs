@@ -35,18 +35,30 @@ pub(super) struct File<'a> {
     pub(super) files: &'a Files<'a>,
     /// What may still be unpacked.
     pub(super) unpacked: Allowance,
+    /// What may still be read of accessors and compressed meshes.
+    pub(super) read: Allowance,
 }
 
-/// Bytes that may still be unpacked, of all that the document refers to.
+/// Bytes that may still be spent on the file as a whole.
 #[derive(Debug)]
 pub(super) struct Allowance {
     left: Cell<usize>,
     limit: usize,
+    /// What they are spent on.
+    what: &'static str,
 }
 
 impl Allowance {
-    pub(super) fn new(limit: usize) -> Self {
-        Self { left: Cell::new(limit), limit }
+    /// Of what is unpacked.
+    pub(super) fn of_unpacked(limits: &LoadLimits) -> Self {
+        let limit = limits.max_unpacked_bytes;
+        Self { left: Cell::new(limit), limit, what: "unpacked, the file has" }
+    }
+
+    /// Of values that are read.
+    fn of_read(limits: &LoadLimits) -> Self {
+        let limit = limits.max_read_bytes;
+        Self { left: Cell::new(limit), limit, what: "counted as often as they are used, its accessors have" }
     }
 
     /// What is left.
@@ -66,7 +78,7 @@ impl Allowance {
     }
 
     pub(super) fn exceeded(&self, place: &str) -> LoadError {
-        LoadError::TooLarge(format!("{place}: unpacked, the file has more than {} bytes", self.limit))
+        LoadError::TooLarge(format!("{place}: {} more than {} bytes", self.what, self.limit))
     }
 }
 
@@ -79,10 +91,10 @@ pub(super) fn open<'a>(bytes: &'a [u8], files: &'a Files<'a>, limits: &LoadLimit
         return Err(LoadError::Malformed(format!("asset.version is \"{version}\"; this reads glTF 2.0")));
     }
     check_indices(&root)?;
-    let unpacked = Allowance::new(limits.max_unpacked_bytes);
+    let (unpacked, read) = (Allowance::of_unpacked(limits), Allowance::of_read(limits));
     let buffers = buffers(&root, &more, bin, files, &unpacked)?;
     let decompressed = root.buffer_views.iter().map(|_| OnceCell::new()).collect();
-    Ok(File { root, more, has_animations, buffers, decompressed, files, unpacked })
+    Ok(File { root, more, has_animations, buffers, decompressed, files, unpacked, read })
 }
 
 /// The document of a `.gltf`.

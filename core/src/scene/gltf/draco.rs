@@ -11,6 +11,7 @@ use super::{LoadError, malformed};
 
 /// A decoded primitive: a list of triangles with its attributes.
 pub(super) struct Decoded<'f> {
+    file: &'f File<'f>,
     mesh: Mesh,
     /// Attribute name to the unique id in `mesh`.
     ids: &'f BTreeMap<String, u32>,
@@ -18,7 +19,7 @@ pub(super) struct Decoded<'f> {
 
 /// Decodes a primitive of at most so many vertices and triangles.
 pub(super) fn decode<'f>(
-    file: &'f File<'_>,
+    file: &'f File<'f>,
     extension: &'f DracoMesh,
     max_vertices: usize,
     max_triangles: usize,
@@ -39,7 +40,14 @@ pub(super) fn decode<'f>(
     if mesh.num_points() > max_vertices || mesh.num_faces() > max_triangles {
         return Err(LoadError::TooLarge(format!("{place}: decompressed, it has too many vertices or triangles")));
     }
-    Ok(Decoded { mesh, ids: &extension.attributes })
+    file.unpacked.take(bytes_of(&mesh), place)?;
+    Ok(Decoded { file, mesh, ids: &extension.attributes })
+}
+
+/// Bytes that a decoded mesh holds.
+fn bytes_of(mesh: &Mesh) -> usize {
+    let attributes = (0..mesh.num_attributes()).map(|id| mesh.attribute(id).buffer().data_size());
+    attributes.sum::<usize>() + mesh.num_faces() * size_of::<[u32; 3]>()
 }
 
 impl Decoded<'_> {
@@ -61,6 +69,7 @@ impl Decoded<'_> {
             let text = format!("has {} components, expected are {N}", attribute.num_components());
             return Err(malformed(place, &text));
         }
+        self.file.read.take(self.count().saturating_mul(size_of::<[f32; N]>()), place)?;
         let values = attribute.read_f32s(self.count(), N);
         Ok(values.as_chunks::<N>().0.to_vec())
     }
@@ -72,8 +81,9 @@ impl Decoded<'_> {
     }
 
     /// Three vertex indices a triangle, some perhaps out of range.
-    pub(super) fn indices(&self) -> Vec<u32> {
+    pub(super) fn indices(&self, place: &str) -> Result<Vec<u32>, LoadError> {
+        self.file.read.take(self.mesh.num_faces().saturating_mul(size_of::<[u32; 3]>()), place)?;
         let faces = (0..self.mesh.num_faces() as u32).map(|face| self.mesh.face(FaceIndex(face)));
-        faces.flat_map(|face| face.map(|point| point.0)).collect()
+        Ok(faces.flat_map(|face| face.map(|point| point.0)).collect())
     }
 }

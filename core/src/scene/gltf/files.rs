@@ -151,7 +151,7 @@ impl<'a> Archive<'a> {
     pub(super) fn document(&self, limits: &LoadLimits) -> Result<Vec<u8>, LoadError> {
         let place = format!("\"{}\" in the archive", self.document);
         let missing = || malformed(&place, "is missing");
-        let allowance = Allowance::new(limits.max_unpacked_bytes);
+        let allowance = Allowance::of_unpacked(limits);
         self.entry(&self.document, &allowance, &place)?.ok_or_else(missing)
     }
 

@@ -2,7 +2,7 @@
 
 use glam::{DMat4, DQuat, DVec3};
 
-use super::accessor::{read_floats, require_finite};
+use super::accessor::{Most, read_floats, require_finite};
 use super::container::File;
 use super::nodes::PlacedNode;
 use super::{LoadError, LoadLimits, malformed};
@@ -14,15 +14,16 @@ pub(super) fn of_node(file: &File<'_>, node: &PlacedNode, limits: &LoadLimits) -
         return Ok(vec![node.world_from_node]);
     };
     let place = format!("node {} \"{}\", instances", node.index, node.name);
+    let most = Most { count: limits.max_objects, of: ("objects (nodes with a mesh)", limits.max_objects) };
     let vectors = |index: Option<_>, name: &str| {
         let place = format!("{place}, {name}");
-        let values = index.map(|index| read_floats::<3>(file, index, limits.max_objects, &place)).transpose()?;
+        let values = index.map(|index| read_floats::<3>(file, index, most, &place)).transpose()?;
         require_finite(values.as_deref().unwrap_or_default(), &place)?;
         Ok::<_, LoadError>(values)
     };
     let translations = vectors(attributes.translation, "TRANSLATION")?;
     let scales = vectors(attributes.scale, "SCALE")?;
-    let of_rotation = |index| read_floats::<4>(file, index, limits.max_objects, &format!("{place}, ROTATION"));
+    let of_rotation = |index| read_floats::<4>(file, index, most, &format!("{place}, ROTATION"));
     let rotations = attributes.rotation.map(of_rotation).transpose()?;
     require_finite(rotations.as_deref().unwrap_or_default(), &place)?;
     let lengths =
@@ -41,5 +42,6 @@ pub(super) fn of_node(file: &File<'_>, node: &PlacedNode, limits: &LoadLimits) -
         let (scale, translation) = (vector(&scales, at, DVec3::ONE), vector(&translations, at, DVec3::ZERO));
         node.world_from_node * DMat4::from_scale_rotation_translation(scale, rotation, translation)
     };
+    file.read.take(count * size_of::<DMat4>(), &place)?;
     Ok((0..count).map(instance).collect())
 }

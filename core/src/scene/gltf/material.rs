@@ -51,6 +51,32 @@ impl LoadedMaterial {
         let textures = self.look.iter().flat_map(|look| [&look.base_color, &look.emissive]);
         textures.flatten().any(|texture| texture.texcoord == set)
     }
+
+    /// The material where the mesh has only some of its texture coordinates: a texture without them shows its mean all
+    /// over. And which of both textures that is.
+    pub(super) fn with_texcoords(mut self, has: impl Fn(usize) -> bool) -> (Self, [bool; 2]) {
+        let Some(look) = &self.look else { return (self, [false; 2]) };
+        let is_unplaced = |texture: &&TextureUse| !has(texture.texcoord);
+        let (base, emissive) = (look.base_color.as_ref(), look.emissive.as_ref());
+        let means = [base, emissive].map(|texture| texture.filter(is_unplaced).map(|texture| texture.texture.mean()));
+        let mut look = Look::clone(look);
+        if let Some(mean) = means[0] {
+            look.factor *= mean.color;
+            look.base_color = None;
+            if look.alpha_mode == AlphaMode::Blend {
+                look.alpha *= mean.weight;
+            }
+        }
+        if let Some(mean) = means[1] {
+            look.emission *= mean.color;
+            look.emissive = None;
+        }
+        let unplaced = means.map(|mean| mean.is_some());
+        if unplaced != [false; 2] {
+            self.look = look.varies().then(|| Arc::new(look));
+        }
+        (self, unplaced)
+    }
 }
 
 impl<'f> Materials<'f> {
@@ -67,10 +93,10 @@ impl<'f> Materials<'f> {
     ) -> Result<LoadedMaterial, LoadError> {
         let Some(index) = index else {
             warnings.add("primitives without a material are white", "");
-            let (albedo, look) = self.capped(Vec3::ONE, None, "those without a material", warnings);
+            let albedo = self.checked(Vec3::ONE, "those without a material", warnings);
             return Ok(LoadedMaterial {
                 material: Material::diffuse(albedo),
-                look,
+                look: None,
                 emission_color: Vec3::ZERO,
                 emission_intensity: 1.0,
                 is_transparent: false,
@@ -128,7 +154,8 @@ impl<'f> Materials<'f> {
             emissive,
             transmission,
         };
-        let (albedo, look) = self.capped(base.factor * mean, Some(by_place), &place, warnings);
+        let albedo = self.checked(base.factor * mean, &place, warnings);
+        let look = by_place.varies().then(|| Arc::new(by_place));
         let emission = color * intensity;
         let material = Material { albedo, emission, double_sided: json.double_sided };
         Ok(LoadedMaterial {
@@ -187,26 +214,16 @@ impl<'f> Materials<'f> {
         Ok(base)
     }
 
-    /// The albedo within bounds, and the look where it says more than the albedo.
-    fn capped(
-        &self,
-        albedo: Vec3,
-        look: Option<Look>,
-        place: &str,
-        warnings: &mut Warnings,
-    ) -> (Vec3, Option<Arc<Look>>) {
-        let albedo = albedo.clamp(Vec3::ZERO, Vec3::ONE);
-        let is_capped = albedo.max_element() > self.max_albedo;
-        if is_capped {
+    /// The albedo within bounds, and a warning where light meets less than it says.
+    fn checked(&self, albedo: Vec3, place: &str, warnings: &mut Warnings) -> Vec3 {
+        if albedo.max_element() > self.max_albedo {
             let text = format!(
                 "an albedo above {} is taken as that, since light in a closed room would have no end (max_albedo says otherwise)",
                 self.max_albedo
             );
             warnings.add(text, place);
         }
-        let look = look.unwrap_or_else(|| Look::plain(albedo));
-        let says_more = is_capped || look.varies();
-        (albedo.min(Vec3::splat(self.max_albedo)), says_more.then(|| Arc::new(look)))
+        albedo.clamp(Vec3::ZERO, Vec3::ONE)
     }
 }
 

@@ -8,6 +8,7 @@ use glam::{DVec3, Vec2, Vec3, Vec4};
 use json::mesh::{Mode, Primitive, Semantic};
 use json::validation::Checked;
 
+use super::accessor::Most;
 use super::attributes::Attributes;
 use super::container::File;
 use super::material::{LoadedMaterial, Materials};
@@ -41,8 +42,8 @@ struct Draft {
     mesh: Mesh,
     has_normals: bool,
     materials: Vec<LoadedMaterial>,
-    /// glTF material to index into `materials`.
-    material_slots: BTreeMap<Option<usize>, u32>,
+    /// glTF material, and which of its textures have no place on the primitive, to index into `materials`.
+    material_slots: BTreeMap<(Option<usize>, [bool; 2]), u32>,
     /// What primitives often share, by the accessors of all that is read of it.
     vertex_ranges: BTreeMap<Vec<Option<usize>>, (u32, usize)>,
     degenerate_triangles: usize,
@@ -112,22 +113,24 @@ impl<'f> Meshes<'f> {
         if material.is_transparent {
             return Ok(());
         }
+        let has =
+            |set: usize| set < 2 && primitive.attributes.contains_key(&Checked::Valid(Semantic::TexCoords(set as u32)));
+        let (material, unplaced) = material.with_texcoords(has);
+        if unplaced != [false; 2] {
+            warnings.add("textures without texture coordinates on the mesh count with their mean colour", place.name);
+        }
         let compressed = self.file.more.draco(place.mesh, place.number);
         let decode =
             |extension| draco::decode(self.file, extension, self.vertices_left, self.max_triangles, place.name);
         let draco = compressed.map(decode).transpose()?;
         // Decompressed, strips are lists.
         let mode = if draco.is_some() { Mode::Triangles } else { mode };
-        let attributes =
-            Attributes { file: self.file, primitive, draco, max_vertices: self.vertices_left, place: place.name };
+        let max_vertices = Most { count: self.vertices_left, of: ("vertices", self.max_vertices) };
+        let attributes = Attributes { file: self.file, primitive, draco, max_vertices, place: place.name };
         let (first, count) = self.vertices(draft, &attributes, &material, pose, warnings)?;
-        let full = |error| match error {
-            LoadError::TooLarge(_) => too_large("triangles", self.max_triangles),
-            other => other,
-        };
         // A strip or fan of n indices has n − 2 triangles, a list a third of n.
         let max_indices = self.max_triangles.saturating_mul(3).saturating_add(2);
-        let indices = attributes.indices(count, max_indices).map_err(full)?;
+        let indices = attributes.indices(count, Most { count: max_indices, of: ("triangles", self.max_triangles) })?;
         if let Some(bad) = indices.iter().find(|&&index| index as usize >= count) {
             return Err(malformed(place.name, &format!("index {bad} is out of range, there are {count} vertices")));
         }
@@ -135,7 +138,7 @@ impl<'f> Meshes<'f> {
         if draft.mesh.triangles.len() + corners.len() > self.max_triangles {
             return Err(too_large("triangles", self.max_triangles));
         }
-        let slot = draft.material_slot(primitive.material.map(|index| index.value()), material);
+        let slot = draft.material_slot((primitive.material.map(|index| index.value()), unplaced), material);
         draft.add_triangles(&corners, first, slot);
         Ok(())
     }
@@ -153,14 +156,9 @@ impl<'f> Meshes<'f> {
         if let Some(known) = key.as_ref().and_then(|key| draft.vertex_ranges.get(key)) {
             return Ok(*known);
         }
-        let full = |error| match error {
-            LoadError::TooLarge(text) if attributes.draco.is_some() => LoadError::TooLarge(text),
-            LoadError::TooLarge(_) => too_large("vertices", self.max_vertices),
-            other => other,
-        };
-        let positions = attributes.positions().map_err(full)?;
+        let positions = attributes.positions()?;
         let count = positions.len();
-        let normals = attributes.normals(count).map_err(full)?.unwrap_or_default();
+        let normals = attributes.normals(count)?.unwrap_or_default();
         let mut vertices = Vertices { positions, normals };
         if !pose.is_plain() {
             pose.apply(attributes, &mut vertices)?;
@@ -217,9 +215,9 @@ fn append<T: Copy>(list: &mut Vec<T>, first: usize, values: Option<impl Iterator
 }
 
 impl Draft {
-    fn material_slot(&mut self, index: Option<usize>, material: LoadedMaterial) -> u32 {
+    fn material_slot(&mut self, key: (Option<usize>, [bool; 2]), material: LoadedMaterial) -> u32 {
         let next = self.materials.len() as u32;
-        let slot = *self.material_slots.entry(index).or_insert(next);
+        let slot = *self.material_slots.entry(key).or_insert(next);
         if slot == next {
             self.materials.push(material);
         }

@@ -37,7 +37,7 @@ use self::mesh::{LoadedMesh, Meshes};
 use self::nodes::PlacedNode;
 use self::warnings::Warnings;
 use super::names::UniqueNames;
-use super::{Camera, Object, Scene};
+use super::{Camera, DEFAULT_MAX_ALBEDO, Object, Scene};
 
 /// Upper bounds on what one file may ask for. Beyond them [`load`] answers [`LoadError::TooLarge`].
 #[derive(Clone, Debug, PartialEq)]
@@ -46,6 +46,9 @@ pub struct LoadLimits {
     pub max_bytes: usize,
     /// Bytes of all that is unpacked: files of an archive, compressed meshes, data within the JSON.
     pub max_unpacked_bytes: usize,
+    /// Bytes of all values that are read, of accessors and of compressed meshes: an accessor that is used twice counts
+    /// twice, and so bounds the time as well. In memory at a time are those of one mesh.
+    pub max_read_bytes: usize,
     /// Nodes, used or not. The other lists and the JSON as a whole are bounded in proportion.
     pub max_nodes: usize,
     /// Materials, and any other list of the document that is not named here.
@@ -66,7 +69,8 @@ pub struct LoadLimits {
     pub max_total_texture_pixels: u64,
     /// Texels of all textures that are kept for the light map; beyond some part of it they are kept smaller.
     pub max_kept_texels: usize,
-    /// Largest albedo: what is above counts as this, with a warning, and is no error.
+    /// Largest albedo without a warning: the cap of the world that the scene is for
+    /// ([`crate::WorldOptions::max_albedo`]).
     pub max_albedo: f32,
 }
 
@@ -75,6 +79,7 @@ impl Default for LoadLimits {
         Self {
             max_bytes: 1 << 30,
             max_unpacked_bytes: 2 << 30,
+            max_read_bytes: 4_000_000_000,
             max_nodes: 1_000_000,
             max_materials: 100_000,
             max_depth: 256,
@@ -85,7 +90,7 @@ impl Default for LoadLimits {
             max_texture_pixels: 1 << 26,
             max_total_texture_pixels: 1 << 30,
             max_kept_texels: 1 << 25,
-            max_albedo: 0.95,
+            max_albedo: DEFAULT_MAX_ALBEDO,
         }
     }
 }

@@ -4,7 +4,7 @@ use ::gltf::json;
 use glam::{DMat3, DMat4, DVec3};
 use json::mesh::Primitive;
 
-use super::accessor::{read_matrices, read_vec3, require_finite};
+use super::accessor::{Most, read_matrices, read_vec3, require_finite};
 use super::attributes::Attributes;
 use super::container::File;
 use super::nodes::PlacedNode;
@@ -60,7 +60,10 @@ fn joints(
     let place = format!("skin {}", skin.value());
     let json = file.root.get(skin).ok_or_else(|| malformed(&place, "does not exist"))?;
     let inverse_bind = match json.inverse_bind_matrices {
-        Some(index) => read_matrices(file, index, json.joints.len().max(1 << 16), &place)?,
+        Some(index) => {
+            let most = json.joints.len().max(1 << 16);
+            read_matrices(file, index, Most { count: most, of: ("inverse bind matrices", most) }, &place)?
+        }
         None => Vec::new(),
     };
     if !inverse_bind.is_empty() && inverse_bind.len() < json.joints.len() {
@@ -108,7 +111,7 @@ impl Pose {
     ) -> Result<(), LoadError> {
         let count = vertices.positions.len();
         let read = |index, place: &str| {
-            let deltas = read_vec3(file, index, count, place)?;
+            let deltas = read_vec3(file, index, Most { count, of: ("values in a morph target", count) }, place)?;
             require_finite(&deltas, place)?;
             if deltas.len() == count {
                 return Ok(deltas);

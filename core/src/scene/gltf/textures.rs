@@ -20,8 +20,9 @@ use crate::scene::{AlphaUse, Texture, TextureUse, Wrap};
 
 /// Memory that a decoder may use beside the picture, bytes.
 const DECODER_BYTES: u64 = 64 << 20;
-/// Texels of one texture that are kept at most and, where many are, at least.
-const KEPT_TEXELS: (usize, usize) = (1 << 12, 1 << 20);
+/// Texels of one texture that are kept: where many are, and at most. Few enough that a file of as many pictures as
+/// there may be keeps little more than it is allowed.
+const KEPT_TEXELS: (usize, usize) = (1 << 6, 1 << 20);
 
 /// Textures of a file, each decoded once per meaning of its alpha.
 #[derive(Debug)]

@@ -59,12 +59,13 @@ impl Disk {
         let connection = self.connection();
         let connection = open(&connection)?;
         self.sweep(connection)?;
+        let (assets, _) = column(connection, "SELECT id FROM assets")?;
         Ok(Saved {
             suffix,
             life,
             newest_scene: schema::number(connection, "newest_scene")?,
             newest_job: schema::number(connection, "newest_job")?,
-            assets: column(connection, "SELECT id FROM assets")?,
+            assets,
             scenes: scenes(connection)?,
             jobs: jobs(connection)?,
         })
@@ -104,9 +105,10 @@ impl Disk {
     fn sweep(&self, connection: &Connection) -> Result<(), StoreError> {
         let sql = "SELECT blob FROM scenes UNION SELECT id FROM assets UNION SELECT map FROM light
             UNION SELECT changed FROM light UNION SELECT lit FROM light WHERE lit IS NOT NULL";
-        let referred: HashSet<BlobId> = column(connection, sql)?.into_iter().collect();
-        if referred.is_empty() {
-            // Rather too much is kept than an emptied database believed.
+        let (referred, left_out) = column(connection, sql)?;
+        let referred: HashSet<BlobId> = referred.into_iter().collect();
+        // Rather too much is kept than an emptied database believed, or a row that names nobody knows which file.
+        if referred.is_empty() || left_out > 0 {
             return Ok(());
         }
         let removed = self.blobs.sweep(&referred)?;
@@ -117,15 +119,34 @@ impl Disk {
     }
 }
 
-fn column(connection: &Connection, sql: &str) -> Result<Vec<String>, StoreError> {
+/// The texts of a column, and how many rows were left out.
+fn column(connection: &Connection, sql: &str) -> Result<(Vec<String>, usize), StoreError> {
     let mut select = connection.prepare(sql)?;
     let rows = select.query_map([], |row| row.get(0))?;
-    Ok(readable(rows, sql))
+    readable(rows, sql)
 }
 
-/// The rows that can be read. The others are told and left out: one bad row must not cost all that is good.
-fn readable<T>(rows: impl Iterator<Item = rusqlite::Result<T>>, what: &str) -> Vec<T> {
-    rows.filter_map(|row| row.inspect_err(|error| tracing::error!(%error, what, "a row is left out")).ok()).collect()
+/// The rows that can be read. Others are told and left out, and counted: one bad row must not cost all that is good.
+/// Where the database itself fails there is no telling what is missing, so nothing is answered.
+fn readable<T>(rows: impl Iterator<Item = rusqlite::Result<T>>, what: &str) -> Result<(Vec<T>, usize), StoreError> {
+    let (mut good, mut left_out) = (Vec::new(), 0);
+    for row in rows {
+        match row {
+            Ok(row) => good.push(row),
+            Err(error) if is_of_the_row(&error) => {
+                tracing::error!(%error, what, "a row is left out");
+                left_out += 1;
+            }
+            Err(error) => return Err(error.into()),
+        }
+    }
+    Ok((good, left_out))
+}
+
+/// Whether an error says that a row was read and does not hold what it should.
+fn is_of_the_row(error: &rusqlite::Error) -> bool {
+    use rusqlite::Error::{FromSqlConversionFailure, IntegralValueOutOfRange, InvalidColumnType, Utf8Error};
+    matches!(error, FromSqlConversionFailure(..) | IntegralValueOutOfRange(..) | InvalidColumnType(..) | Utf8Error(..))
 }
 
 fn scenes(connection: &Connection) -> Result<Vec<SavedScene>, StoreError> {
@@ -147,12 +168,15 @@ fn scenes(connection: &Connection) -> Result<Vec<SavedScene>, StoreError> {
             light,
         })
     })?;
-    let mut scenes = readable(rows, "scenes");
+    let (mut scenes, _) = readable(rows, "scenes")?;
     for scene in &mut scenes {
-        match edits(connection, scene.number) {
-            Ok(edits) => scene.edits = edits,
+        let (edits, left_out) = edits(connection, scene.number)?;
+        if left_out == 0 {
+            scene.edits = edits;
+        } else {
             // Without one of its edits it would be another scene.
-            Err(error) => scene.record = Err(error),
+            let detail = format!("{left_out} of them");
+            scene.record = Err(StoreError::damaged("edits of the scene cannot be read", detail));
         }
         scene.keys = keys(connection, scene.number)?;
     }
@@ -167,11 +191,15 @@ fn saved_light(row: &rusqlite::Row<'_>) -> rusqlite::Result<Option<SavedLight>> 
     Ok(Some(SavedLight { about, map: row.get(6)?, changed: row.get(7)?, lit }))
 }
 
-fn edits(connection: &Connection, scene: SceneNumber) -> Result<Vec<(Sequence, Vec<u8>)>, StoreError> {
+/// Requests of edits, in their order.
+type Bodies = Vec<(Sequence, Vec<u8>)>;
+
+/// Edits of a scene, and how many rows were left out.
+fn edits(connection: &Connection, scene: SceneNumber) -> Result<(Bodies, usize), StoreError> {
     let mut select =
         connection.prepare_cached("SELECT sequence, body FROM edits WHERE scene = ?1 ORDER BY sequence")?;
     let rows = select.query_map([scene as i64], |row| Ok((row.get::<_, i64>(0)? as Sequence, row.get(1)?)))?;
-    Ok(rows.collect::<Result<_, _>>()?)
+    readable(rows, "edits")
 }
 
 fn keys(connection: &Connection, scene: SceneNumber) -> Result<Vec<KeyRecord>, StoreError> {
@@ -184,13 +212,55 @@ fn keys(connection: &Connection, scene: SceneNumber) -> Result<Vec<KeyRecord>, S
         let body_hash = blake3::Hash::from_hex(hash).unwrap_or_else(|_| blake3::Hash::from_bytes([0; 32]));
         Ok(KeyRecord { key, body_hash, job: job as JobNumber, answer: answer.into() })
     })?;
-    Ok(readable(rows, "keys"))
+    Ok(readable(rows, "keys")?.0)
 }
 
 fn jobs(connection: &Connection) -> Result<Vec<Result<JobRecord, StoreError>>, StoreError> {
-    Ok(column(connection, "SELECT record FROM jobs ORDER BY number")?.iter().map(|json| from_json(json)).collect())
+    let (records, _) = column(connection, "SELECT record FROM jobs ORDER BY number")?;
+    Ok(records.iter().map(|json| from_json(json)).collect())
 }
 
 fn from_json<T: serde::de::DeserializeOwned>(json: &str) -> Result<T, StoreError> {
     serde_json::from_str(json).map_err(|error| StoreError::damaged("a record of the database cannot be read", error))
+}
+
+#[cfg(test)]
+mod tests {
+    use rusqlite::ffi;
+
+    use super::*;
+    use crate::store::Store;
+    use crate::store::faults::Faults;
+
+    #[test]
+    fn bad_rows_are_left_out_and_a_failing_database_is_told() {
+        let bad = || rusqlite::Error::InvalidColumnType(0, "id".to_owned(), rusqlite::types::Type::Blob);
+        assert_eq!(readable([Ok(1), Err(bad()), Ok(3)].into_iter(), "a").unwrap(), (vec![1, 3], 1));
+        let failing = rusqlite::Error::SqliteFailure(ffi::Error::new(ffi::SQLITE_IOERR_READ), None);
+        let told = readable([Ok(1), Err(failing)].into_iter(), "a").unwrap_err();
+        assert_eq!(told.reason, "the database failed");
+    }
+
+    #[test]
+    fn files_stay_where_a_row_names_one_that_cannot_be_read() {
+        let directory = tempfile::tempdir().unwrap();
+        let ids = [b"one".as_slice(), b"two"].map(|glb| (blake3::hash(glb).to_hex().to_string(), glb));
+        let life = |damage: &str| {
+            let disk = Disk::open(directory.path(), Faults::default(), 2).unwrap();
+            let assets = disk.load("x").unwrap().assets.len();
+            let is_there = ids.each_ref().map(|(id, _)| disk.asset(id).is_ok());
+            if damage.is_empty() {
+                ids.iter().for_each(|(id, glb)| disk.asset_added(id, glb).unwrap());
+            }
+            disk.close();
+            Connection::open(directory.path().join("rebake.db")).unwrap().execute_batch(damage).unwrap();
+            (assets, is_there)
+        };
+        life("");
+        assert_eq!(life(&format!("UPDATE assets SET id = CAST(id AS BLOB) WHERE id = '{}'", ids[0].0)).0, 2);
+        // The row is left out, its file is not taken for one that nobody needs.
+        assert_eq!(life("UPDATE assets SET id = CAST(id AS TEXT)"), (1, [true, true]));
+        assert_eq!(life(&format!("DELETE FROM assets WHERE id = '{}'", ids[0].0)), (2, [true, true]));
+        assert_eq!(life("SELECT 1"), (1, [false, true]));
+    }
 }

@@ -27,11 +27,17 @@ pub(super) fn check(directory: &Path) -> Result<(), StoreError> {
         return Ok(());
     }
     let unmarked = has_database && names.iter().all(|name| UNMARKED.contains(&name.as_str()));
-    if names.is_empty() || unmarked {
+    if names.is_empty() || unmarked || is_begun(directory, &names) {
         return Ok(());
     }
     let detail = format!("it has no file {MARK:?} and holds other things; give an empty directory");
     Err(StoreError::damaged("the directory is not a data directory of rebake", detail))
+}
+
+/// Whether a start ended between its lock and its mark: an empty lock is all there is.
+fn is_begun(directory: &Path, names: &BTreeSet<String>) -> bool {
+    let is_empty = |name: &str| fs::metadata(directory.join(name)).is_ok_and(|file| file.is_file() && file.len() == 0);
+    names.iter().eq(["lock"]) && is_empty("lock")
 }
 
 /// Marks a directory that was checked.
@@ -119,6 +125,17 @@ mod tests {
         fs::create_dir(empty.path().join(OF_THE_SYSTEM)).unwrap();
         open(empty.path()).unwrap();
         open(empty.path()).unwrap();
+    }
+
+    #[test]
+    fn a_start_that_ended_after_its_lock_is_begun_again() {
+        let directory = tempfile::tempdir().unwrap();
+        fs::write(directory.path().join("lock"), b"").unwrap();
+        open(directory.path()).unwrap();
+        assert!(directory.path().join(MARK).exists());
+        let folder = tempfile::tempdir().unwrap();
+        fs::create_dir(folder.path().join("lock")).unwrap();
+        refused(folder.path(), "not a data directory");
     }
 
     #[test]

@@ -175,5 +175,5 @@ fn shared_data_is_shared() {
     let mesh = &scene.objects[0].mesh;
     assert_eq!((mesh.positions.len(), mesh.triangles.len(), mesh.triangle_materials[2]), (4, 4, 1));
     // The specification's default is white.
-    assert_eq!(scene.objects[0].materials[1].albedo, Vec3::splat(0.95));
+    assert_eq!(scene.objects[0].materials[1].albedo, Vec3::ONE);
 }

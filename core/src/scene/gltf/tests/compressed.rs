@@ -119,6 +119,28 @@ fn compressed_meshes_keep_to_the_limits() {
     }
 }
 
+/// What was decompressed before is not there to be decompressed again.
+#[test]
+fn compressed_meshes_share_what_may_be_unpacked() {
+    let once = with_draco(&draco_square().unwrap());
+    let length = u32::from_le_bytes(once[12..16].try_into().unwrap()) as usize;
+    let json = std::str::from_utf8(&once[20..20 + length]).unwrap();
+    let start = json.find("{\"attributes\": {\"POSITION\": 0").unwrap();
+    let end = json.find("\n  ]}],\n  \"accessors\"").unwrap();
+    let primitive = &json[start..end];
+    let of = |count: usize| {
+        let json = json.replace(primitive, &vec![primitive; count].join(", "));
+        glb(&json, &once[28 + length..])
+    };
+    let limits = LoadLimits { max_unpacked_bytes: 1000, ..LoadLimits::default() };
+    let unpacked = |count| super::super::load(&of(count), &limits).map(|scene| scene.objects[0].mesh.triangles.len());
+    assert_eq!(unpacked(3).unwrap(), 6);
+    assert!(matches!(unpacked(9), Err(LoadError::TooLarge(_))), "{:?}", unpacked(9));
+    // Four vertices with normals, and two triangles.
+    let with = |max_read_bytes| super::super::load(&once, &LoadLimits { max_read_bytes, ..LoadLimits::default() });
+    assert!(with(120).is_ok() && matches!(with(119), Err(LoadError::TooLarge(_))), "{:?}", with(119));
+}
+
 /// Any answer is right, a panic is not.
 #[test]
 fn damaged_data_does_not_panic() {

@@ -217,6 +217,35 @@ fn limits_are_kept_before_memory_is_spent() {
     }
 }
 
+/// Small views that are read again and again, and values that take no bytes of the file: neither a vertex, a triangle
+/// nor an object need come of them, so they are counted as they are read.
+#[test]
+fn values_are_counted_as_often_as_they_are_read() {
+    let primitive = "{\"attributes\": {\"POSITION\": 0, \"NORMAL\": 1}, \"indices\": 2, \"material\": 0, \"mode\": 4}";
+    let indices = "{\"bufferView\": 2, \"componentType\": 5123, \"count\": 6, \"type\": \"SCALAR\"}";
+    let zeros = "{\"componentType\": 5125, \"count\": 999, \"type\": \"SCALAR\"}";
+    let one = "\"sparse\": {\"count\": 1, \"indices\": {\"bufferView\": 2, \"componentType\": 5123}, \"values\": {\"bufferView\": 4}}";
+    let sparse = zeros.replace("\"type\"", &format!("{one}, \"type\""));
+    let scales = format!("{indices}, {{\"componentType\": 5126, \"count\": 99, \"type\": \"VEC3\"}}");
+    let instances = "\"extensions\": {\"EXT_mesh_gpu_instancing\": {\"attributes\": {\"SCALE\": 3}}}";
+    let (vertices, triangles) = (4 * (12 + 12), 6 * 4);
+    for (file, bytes) in [
+        (edited(&[]), vertices + triangles),
+        (edited(&[(primitive, &[primitive; 10].join(", "))]), vertices + 10 * triangles),
+        (edited(&[(indices, zeros)]), vertices + 999 * 4),
+        (edited(&[(indices, &sparse)]), vertices + 999 * 4 + 4 + 4),
+        (edited(&[(indices, &scales), ("\"scale\": [2, 2, 2]", instances)]), vertices + triangles + 99 * (12 + 128)),
+    ] {
+        let with = |max_read_bytes| super::super::load(&file, &LoadLimits { max_read_bytes, ..LoadLimits::default() });
+        assert!(with(bytes).is_ok(), "{bytes}: {:?}", with(bytes));
+        let refused = with(bytes - 1);
+        assert!(
+            matches!(&refused, Err(LoadError::TooLarge(text)) if text.contains("accessors")),
+            "{bytes}: {refused:?}"
+        );
+    }
+}
+
 /// Two bytes of JSON are hundreds in memory: they are counted first.
 #[test]
 fn empty_entries_are_counted_before_they_are_read() {

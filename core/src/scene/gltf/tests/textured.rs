@@ -118,6 +118,41 @@ fn missing_textures_are_grey_unless_the_file_requires_them() {
     assert!(odd.warnings.iter().any(|text| text.contains("neither PNG")), "{:?}", odd.warnings);
 }
 
+/// Where a primitive has no texture coordinates, no texel is the right one.
+#[test]
+fn textures_without_a_place_count_with_their_mean() {
+    let png = encoded(ImageFormat::Png);
+    let both = ["\"baseColorTexture\": {\"index\": 0}", "\"emissiveTexture\": {\"index\": 0}"];
+    let third = both.map(|texture| texture.replace("0}", "0, \"texCoord\": 2}"));
+    for edits in [vec![(", \"TEXCOORD_0\": 3}", "}")], vec![(both[0], third[0].as_str()), (both[1], third[1].as_str())]]
+    {
+        let scene = load(&textured(&png, &edits)).unwrap();
+        let object = &scene.objects[0];
+        assert!(object.looks.is_empty() && object.mesh.texcoords[0].is_empty(), "{object:?}");
+        assert!((object.materials[0].albedo - Vec3::X * 0.25).abs().max_element() < 1e-4, "{object:?}");
+        let warned = scene.warnings.iter().any(|text| text.contains("without texture coordinates"));
+        assert!(warned, "{:?}", scene.warnings);
+    }
+    // Beside a primitive that has them it is another material.
+    let primitive = "{\"attributes\": {\"POSITION\": 0, \"NORMAL\": 1, \"TEXCOORD_0\": 3}, \"indices\": 2, \"material\": 0, \"mode\": 4}";
+    let two = format!("{primitive}, {}", primitive.replace(", \"TEXCOORD_0\": 3", ""));
+    let scene = load(&textured(&png, &[(primitive, &two)])).unwrap();
+    let object = &scene.objects[0];
+    assert_eq!(object.mesh.triangle_materials, [0, 0, 1, 1]);
+    assert!(object.looks[0].is_some() && object.looks[1].is_none(), "{object:?}");
+    assert_eq!(object.materials[0], object.materials[1]);
+}
+
+#[test]
+fn what_is_kept_of_textures_is_bounded() {
+    let size = |max_kept_texels| {
+        let limits = LoadLimits { max_kept_texels, ..LoadLimits::default() };
+        let scene = super::super::load(&textured(&encoded(ImageFormat::Png), &[]), &limits).unwrap();
+        scene.objects[0].looks[0].as_ref().unwrap().base_color.as_ref().unwrap().texture.size()
+    };
+    assert_eq!([0, 1 << 20].map(size), [(8, 4), (16, 8)]);
+}
+
 #[test]
 fn broken_and_large_textures_are_refused() {
     let png = encoded(ImageFormat::Png);
