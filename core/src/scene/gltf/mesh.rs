@@ -109,7 +109,7 @@ impl<'f> Meshes<'f> {
             Checked::Invalid => return Err(malformed(place.name, "its mode is unknown")),
         };
         let material = materials.get(primitive.material, warnings)?;
-        if material.is_transparent {
+        if material.is_clear {
             return Ok(());
         }
         let compressed = self.file.more.draco(place.mesh, place.number);
