@@ -313,3 +313,37 @@ fn a_crate_is_put_behind_a_screen() {
     let insert = Edit::Insert { asset, name: "crate".into(), transform: at(1.9, 2.2) };
     check("insert behind a screen", &room_with_screen(), &[insert], Vec3::new(1.9, 0.3, 2.2));
 }
+
+/// A lamp with holes shines where it has none: half as much where they are half of it, by light sampling and by rays that
+/// meet it.
+#[test]
+fn a_lamp_with_holes_shines_by_half() {
+    let lamp = |look: Look| {
+        let mut lamp = of_look("lamp", sheet(0.5, 0.5), look);
+        lamp.materials[0].emission = Vec3::new(3.0, 2.0, 1.0);
+        lit(vec![Object::new("floor", sheet(0.0, 1.0), Material::diffuse(Vec3::splat(0.5))), lamp], [], 0.1)
+    };
+    let (whole, half) = (lamp(Look::plain(Vec3::ZERO)), lamp(chequered(24, plainly)));
+    let mean = |world: &World, value: &dyn Fn(u64) -> Vec<Vec3>| {
+        let floor = slots_of(world, "floor");
+        let first = floor.start;
+        replicate(8, |seed| {
+            let values = value(seed);
+            area_mean(world, |i| floor.contains(&i), |i| values[i - first].as_dvec3())
+        })
+    };
+    let baked = |world: &World| {
+        mean(world, &|seed| {
+            let map = bake(world, &budget(64), seed, &Unobserved).expect("nobody cancels");
+            map.direct[slots_of(world, "floor")].to_vec()
+        })
+    };
+    let slots: Vec<u32> = slots_of(&half, "floor").map(|slot| slot as u32).collect();
+    let traced = mean(&half, &|seed| {
+        let traced = path_trace(&half, &slots, 64, seed, &Unobserved).expect("nobody cancels").0;
+        traced.into_iter().map(|value| value.direct).collect()
+    });
+    let expected = 0.5 * baked(&whole).mean;
+    assert_agrees("a lamp with holes", baked(&half), expected, 2e-3 * expected);
+    assert_agrees("a lamp with holes, path traced", traced, expected, 2e-3 * expected);
+}

@@ -178,13 +178,13 @@ impl Bvh {
     }
 
     /// The triangle hit first at `t_min ≤ t < t_max` from either side, of those that `filter` does not pass.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn closest_hit_of(&self, ray: &Ray, filter: &mut impl Filter) -> Option<Hit> {
         dispatch!(self, ray, filter, closest, closest_hit)
     }
 
     /// Whether anything that `filter` does not pass is hit at `t_min ≤ t < t_max`.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn any_hit_of(&self, ray: &Ray, filter: &mut impl Filter) -> bool {
         dispatch!(self, ray, filter, any, any_hit)
     }

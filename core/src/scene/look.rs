@@ -2,7 +2,7 @@
 
 use glam::{Vec2, Vec3, Vec4};
 
-use super::{Object, TextureUse};
+use super::{Object, TextureMean, TextureUse};
 
 /// Colour, emission and transparency of a material by place, as the file has them. At a place the base colour is
 /// `factor` × the texture × the mesh's colour, and the emission is `emission` × its texture; texels that alpha rules out
@@ -111,15 +111,15 @@ impl Look {
             }
     }
 
-    /// What happens to light at a place, given by texture coordinates of the picture; `color` is the mesh's there, and
-    /// `volume` what the volume behind leaves of light.
+    /// What happens to light at a place, given by texture coordinates of the picture (the whole counts where they are no
+    /// numbers); `color` is the mesh's there, and `volume` what the volume behind leaves of light.
     #[inline]
     pub(crate) fn passage(&self, uv: Vec2, color: Vec4, volume: Vec3) -> Passage {
         let covered = self.coverage(uv, color.w);
         if self.transmission <= 0.0 {
             return Passage { opacity: covered, tint: Vec3::ONE };
         }
-        let texture = self.base_color.as_ref().map_or(Vec3::ONE, |t| t.texture.texel(uv, t.wrap).color);
+        let texture = self.base_color.as_ref().map_or(Vec3::ONE, |texture| texel(texture, uv).color);
         let base = (self.factor * texture * color.truncate()).clamp(Vec3::ZERO, Vec3::ONE);
         let (opacity, through) = (covered * (1.0 - self.transmission), covered * self.transmission);
         let behind = Vec3::splat(1.0 - covered) + base * volume * through;
@@ -132,17 +132,17 @@ impl Look {
     fn coverage(&self, uv: Vec2, vertex_alpha: f32) -> f32 {
         let alpha = self.alpha * vertex_alpha;
         let texture = self.base_color.as_ref();
-        let of_texel = |t: &TextureUse| t.texture.texel(uv, t.wrap).weight;
-        match self.alpha_mode {
-            AlphaMode::Opaque => 1.0,
-            AlphaMode::Mask(cutoff) => {
-                let is_solid = texture.is_none_or(|t| match t.texture.has_mask() {
-                    true => alpha >= cutoff && t.texture.is_solid_at(uv, t.wrap),
-                    false => alpha * of_texel(t) >= cutoff,
-                });
-                f32::from(u8::from(is_solid && (texture.is_some() || alpha >= cutoff)))
+        let of_texel = |texture: &TextureUse| texel(texture, uv).weight;
+        let if_all = |is_there: bool| f32::from(u8::from(is_there));
+        match (self.alpha_mode, texture) {
+            (AlphaMode::Opaque, _) => 1.0,
+            (AlphaMode::Mask(cutoff), None) => if_all(alpha >= cutoff),
+            (AlphaMode::Mask(cutoff), Some(t)) if t.texture.has_mask() => {
+                let is_there = alpha >= cutoff && t.texture.is_solid_at(uv, t.wrap);
+                if uv.is_finite() { if_all(is_there) } else { if_all(alpha >= cutoff) * of_texel(t) }
             }
-            AlphaMode::Blend => (alpha * texture.map_or(1.0, of_texel)).clamp(0.0, 1.0),
+            (AlphaMode::Mask(cutoff), Some(t)) => if_all(alpha * of_texel(t) >= cutoff),
+            (AlphaMode::Blend, _) => (alpha * texture.map_or(1.0, of_texel)).clamp(0.0, 1.0),
         }
     }
 
@@ -161,19 +161,25 @@ impl Look {
     }
 }
 
+/// The texel at a place, or the whole.
+fn texel(texture: &TextureUse, uv: Vec2) -> TextureMean {
+    if uv.is_finite() { texture.texture.texel(uv, texture.wrap) } else { texture.texture.mean() }
+}
+
 impl Object {
     /// Mean share of light that does not go through what an object has of a material, 0..=1.
     pub fn mean_opacity(&self, material: usize) -> f32 {
         let look = self.looks.get(material).and_then(Option::as_deref);
         let Some(look) = look.filter(|look| look.may_let_light_through()) else { return 1.0 };
         let mesh = &*self.mesh;
-        let set = look.base_color.as_ref().map_or(0, |texture| texture.texcoord.min(1));
+        let set = look.base_color.as_ref().map_or(0, |texture| texture.texcoord);
         let (mut sum, mut total) = (0.0, 0.0);
         let of_material = mesh.triangles.iter().zip(&mesh.triangle_materials).filter(|(_, m)| **m as usize == material);
         for (triangle, _) in of_material {
             let corners = triangle.map(|vertex| vertex as usize);
             let [a, b, c] = corners.map(|vertex| mesh.positions[vertex].as_dvec3());
-            let texcoords = corners.map(|vertex| mesh.texcoords[set].get(vertex).copied().unwrap_or_default());
+            let texcoord = |vertex: usize| mesh.texcoords.get(set)?.get(vertex).copied();
+            let texcoords = corners.map(|vertex| texcoord(vertex).unwrap_or(Vec2::NAN));
             let alphas = corners.map(|vertex| mesh.colors.get(vertex).map_or(1.0, |color| color.w));
             let area = (b - a).cross(c - a).length();
             sum += area * f64::from(look.mean_opacity_over(texcoords, alphas));

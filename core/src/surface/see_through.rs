@@ -52,11 +52,11 @@ impl SeeThrough {
         let of_face = |(face, &material): (usize, &u32)| {
             let Some(Pane { look, .. }) = panes.get(material as usize).and_then(Option::as_ref) else { return OPAQUE };
             let corners = Corners::new(&object.mesh, surface, face as u32);
-            let set = look.base_color.as_ref().map_or(0, |texture| texture.texcoord.min(1));
-            if look.is_opaque_over(corners.texcoords[set], corners.colors.map(|color| color.w)) {
+            let texcoords = corners.texcoords(look.base_color.as_ref().map_or(0, |texture| texture.texcoord));
+            if look.is_opaque_over(texcoords, corners.colors.map(|color| color.w)) {
                 return OPAQUE;
             }
-            let uv = corners.texcoords[set].map(|uv| look.base_color.as_ref().map_or(uv, |texture| texture.map(uv)));
+            let uv = texcoords.map(|uv| look.base_color.as_ref().map_or(uv, |texture| texture.map(uv)));
             faces.push(Face { uv, material });
             if !object.mesh.colors.is_empty() {
                 colors.push(corners.colors);

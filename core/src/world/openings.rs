@@ -126,6 +126,16 @@ impl Filter for Opaque<'_> {
     }
 }
 
+/// Passes every place that shows half or more of what is behind it.
+pub(super) struct Hiding<'a>(pub(super) &'a Openings);
+
+impl Filter for Hiding<'_> {
+    #[inline]
+    fn passes(&mut self, id: u32, _: f32, place: impl FnOnce() -> [f32; 2]) -> bool {
+        self.0.at(id, place).is_some_and(|passage| passage.opacity <= 0.5)
+    }
+}
+
 /// What is left of light along a ray.
 pub(super) struct Left<'a> {
     openings: &'a Openings,
@@ -271,6 +281,22 @@ mod tests {
         let invalid = |world: &World| (0..world.slots()).filter(|&slot| !world.is_valid(slot)).count();
         assert!(invalid(&of(None)) > 0, "an opaque cube hides what is in it");
         assert_eq!(invalid(&of(Some(glass))), 0);
+    }
+
+    /// A picture without a place on the mesh counts with its mean.
+    #[test]
+    fn without_texture_coordinates_the_mean_counts() {
+        let texels: Vec<u8> = (0..4).flat_map(|i| [255, 255, 255, if i == 0 { 0 } else { 255 }]).collect();
+        let of = |alpha_mode, alpha: AlphaUse| {
+            let texture = Arc::new(Texture::new(2, 2, &texels, alpha, 16));
+            let linear = glam::Mat2::IDENTITY;
+            let base = TextureUse { texture, texcoord: 1, linear, offset: Vec2::ZERO, wrap: [Wrap::Repeat; 2] };
+            let look = Look { alpha_mode, base_color: Some(base), ..Look::plain(Vec3::ONE) };
+            let pane = world(vec![object("pane", Mesh::quad(Vec3::Y, Vec3::Z, Vec3::X), Some(look))]);
+            pane.trees.transmittance(&down(&mut Pcg32::new(1, 2))).x
+        };
+        assert!((of(AlphaMode::Blend, AlphaUse::Blend) - 0.25).abs() < 1e-4);
+        assert!((of(AlphaMode::Mask(0.5), AlphaUse::Cutoff(0.5)) - 0.25).abs() < 1e-4);
     }
 
     /// Paint changes what is reflected and nothing of what goes through; and textures count as memory.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use super::openings::{Among, Chance, Left, Opaque, Openings, Places};
+use super::openings::{Among, Chance, Hiding, Left, Opaque, Openings, Places};
 use crate::bvh::{Bvh, Filter, Hit, Ray, TriangleMask};
 use crate::scene::Passage;
 
@@ -32,7 +32,7 @@ impl Trees {
 
     /// The closest hit in any tree of what light meets there. What lets light through is met by chance: as often as it is
     /// opaque. See [`Trees::first_hit`] for what is left of the light then.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn closest_hit(&self, ray: &Ray) -> Option<Hit> {
         match &self.openings {
             None => self.closest_of_all(ray),
@@ -41,9 +41,16 @@ impl Trees {
     }
 
     /// [`Trees::closest_hit`]; multiplies `light` by what tinted surfaces before it leave.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn first_hit(&self, ray: &Ray, light: &mut Vec3) -> Option<Hit> {
-        let Some(openings) = &self.openings else { return self.closest_of_all(ray) };
+        match &self.openings {
+            None => self.closest_of_all(ray),
+            Some(openings) => self.first_hit_among(openings, ray, light),
+        }
+    }
+
+    #[inline(never)]
+    fn first_hit_among(&self, openings: &Openings, ray: &Ray, light: &mut Vec3) -> Option<Hit> {
         let mut chance = Chance::new(openings, ray);
         let hit = self.closest_of(ray, &mut chance);
         if chance.is_tinted {
@@ -73,7 +80,7 @@ impl Trees {
         self.openings.as_ref()?.at(hit.triangle, || [hit.u, hit.v])
     }
 
-    /// The closest hit of what is opaque all over: what is closed to light, and what hides one thing from another.
+    /// The closest hit of what is opaque all over: what closes something to light.
     pub(crate) fn closest_opaque(&self, ray: &Ray) -> Option<Hit> {
         match &self.openings {
             None => self.closest_of_all(ray),
@@ -81,21 +88,27 @@ impl Trees {
         }
     }
 
-    /// Whether anything that is opaque all over lies between the ray's ends.
-    #[inline]
-    pub(crate) fn any_opaque(&self, ray: &Ray) -> bool {
+    /// Whether a place that hides more than half of what is behind it lies between the ray's ends.
+    #[inline(always)]
+    pub(crate) fn any_hiding(&self, ray: &Ray) -> bool {
         match &self.openings {
             None => self.any_of_all(ray),
-            Some(openings) => self.any_of(ray, &mut Opaque(openings)),
+            Some(openings) => self.any_of(ray, &mut Hiding(openings)),
         }
     }
 
     /// What is left of light between the ray's ends, linear RGB, each 0..=1: exact, not by chance.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn transmittance(&self, ray: &Ray) -> Vec3 {
-        let Some(openings) = &self.openings else {
-            return if self.any_of_all(ray) { Vec3::ZERO } else { Vec3::ONE };
-        };
+        match &self.openings {
+            None if self.any_of_all(ray) => Vec3::ZERO,
+            None => Vec3::ONE,
+            Some(openings) => self.transmittance_among(openings, ray),
+        }
+    }
+
+    #[inline(never)]
+    fn transmittance_among(&self, openings: &Openings, ray: &Ray) -> Vec3 {
         let mut left = Left::of_all(openings);
         if self.any_of(ray, &mut left) { Vec3::ZERO } else { left.light }
     }
@@ -109,7 +122,7 @@ impl Trees {
         if t_max <= 0.0 { Vec3::ONE } else { self.transmittance(&ray) }
     }
 
-    #[inline]
+    #[inline(always)]
     fn closest_of_all(&self, ray: &Ray) -> Option<Hit> {
         let mut best = self.big.closest_hit(ray, self.gone.as_deref());
         for (_, tree) in &self.small {
@@ -121,11 +134,12 @@ impl Trees {
         best
     }
 
-    #[inline]
+    #[inline(always)]
     fn any_of_all(&self, ray: &Ray) -> bool {
         self.small.iter().any(|(_, tree)| tree.any_hit(ray, None)) || self.big.any_hit(ray, self.gone.as_deref())
     }
 
+    #[inline(never)]
     fn closest_of(&self, ray: &Ray, filter: &mut impl Filter) -> Option<Hit> {
         let mut best = self.big.closest_hit_of(ray, &mut Among { gone: self.gone.as_deref(), filter });
         for (_, tree) in &self.small {
@@ -137,6 +151,7 @@ impl Trees {
         best
     }
 
+    #[inline(never)]
     fn any_of(&self, ray: &Ray, filter: &mut impl Filter) -> bool {
         self.small.iter().any(|(_, tree)| tree.any_hit_of(ray, filter))
             || self.big.any_hit_of(ray, &mut Among { gone: self.gone.as_deref(), filter })
