@@ -34,7 +34,7 @@ fn glass(factor: Vec3, transmission: f32) -> Look {
 
 /// Holes in the chequered texels of `n` × `n` whose coordinates have an even sum.
 fn chequered(n: u32, use_of: impl Fn(Arc<Texture>) -> TextureUse) -> Look {
-    let texel = |i: u32| [255, 255, 255, if (i % n + i / n) % 2 == 0 { 100 } else { 200 }];
+    let texel = |i: u32| [255, 255, 255, if (i % n + i / n).is_multiple_of(2) { 100 } else { 200 }];
     let rgba: Vec<u8> = (0..n * n).flat_map(texel).collect();
     let texture = Arc::new(Texture::new(n, n, &rgba, AlphaUse::Cutoff(0.5), 1 << 20));
     Look { alpha_mode: AlphaMode::Mask(0.5), base_color: Some(use_of(texture)), ..Look::plain(Vec3::splat(0.5)) }

@@ -325,7 +325,7 @@ mod tests {
         for _ in 0..1000 {
             let ray = down(&mut rng);
             let left = leaf.trees.transmittance(&ray);
-            assert_eq!(left, Vec3::splat(if (ray.origin.x * 8.0) as u32 % 2 == 0 { 1.0 } else { 0.0 }));
+            assert_eq!(left, Vec3::splat(if ((ray.origin.x * 8.0) as u32).is_multiple_of(2) { 1.0 } else { 0.0 }));
             assert_eq!(painted.trees.transmittance(&ray), left);
             assert_eq!(moved.trees.transmittance(&ray), left);
             holes += u32::from(left == Vec3::ONE);
