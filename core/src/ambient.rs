@@ -60,12 +60,15 @@ fn ambient<V: Value>(world: &World, direct: &[V], seed: u64, work: &Work) -> Res
                 t_max: f32::INFINITY,
             };
             *rays += 1;
-            let Some(surfel) = world.trees.closest_hit(&ray).and_then(|hit| Surfel::new(world, &ray, &hit)) else {
+            let mut reflected = Vec3::ONE;
+            let hit = world.trees.first_hit(&ray, &mut reflected);
+            let Some(surfel) = hit.and_then(|hit| Surfel::new(world, &ray, &hit)) else {
                 continue;
             };
-            albedo += surfel.albedo;
+            reflected *= surfel.albedo;
+            albedo += reflected;
             if let Some(footprint) = surfel.footprint {
-                sent += footprint.interpolate(direct) * surfel.albedo;
+                sent += footprint.interpolate(direct) * reflected;
             }
         }
         (sent / RAYS as f32, albedo / RAYS as f32)

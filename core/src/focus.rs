@@ -119,7 +119,7 @@ fn is_seen(world: &World, slot: usize, eye: Vec3, [right, up, forward]: [Vec3; 3
         return false;
     }
     let lift = n * world.lift(from);
-    !world.trees.any_hit(&Ray { origin: from + lift, direction: to_eye - lift, t_min: 0.0, t_max: 1.0 })
+    !world.trees.any_hiding(&Ray { origin: from + lift, direction: to_eye - lift, t_min: 0.0, t_max: 1.0 })
 }
 
 #[cfg(test)]

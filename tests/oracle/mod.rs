@@ -11,6 +11,7 @@ mod paper;
 mod path;
 mod plates;
 mod scenes;
+mod see_through;
 mod stated;
 mod statistics;
 mod tiles;

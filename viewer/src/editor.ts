@@ -164,6 +164,8 @@ async function toGlb(group: Group): Promise<Blob> {
     const emission = color('emission');
     const strength = Math.max(emission.r, emission.g, emission.b, 1);
     const material = new MeshStandardMaterial({ color: color('albedo'), roughness: 1, metalness: 0, side });
+    material.opacity = uniforms['opacity']!.value;
+    material.transparent = material.opacity < 1;
     material.emissive.copy(emission.multiplyScalar(1 / strength));
     material.emissiveIntensity = strength;
     const geometry = child.geometry.clone();

@@ -38,6 +38,7 @@ const fragmentShader = /* glsl */ `
   uniform float selected;
   uniform vec3 albedo;
   uniform vec3 emission;
+  uniform float opacity;
   varying vec3 vLight;
   varying vec3 vBase;
   varying vec3 vNormal;
@@ -60,11 +61,11 @@ const fragmentShader = /* glsl */ `
     if (mode == 2) {
       // Elements that the edit brought have nothing to be compared with: a value far below 0 marks them.
       float change = vBase.x < -1e29 ? 0.0 : dot(vLight - vBase, vec3(1.0 / 3.0));
-      gl_FragColor = vec4(diverging(change / scale) * (0.45 + 0.55 * facing), 1.0);
+      gl_FragColor = vec4(diverging(change / scale) * (0.45 + 0.55 * facing), opacity);
     } else {
       vec3 light = before > 0.5 && vBase.x > -1e29 ? vBase : vLight;
       vec3 radiance = mode == 1 ? light : albedo * light + emission * emissive;
-      gl_FragColor = vec4(radiance, 1.0);
+      gl_FragColor = vec4(radiance, opacity);
       #include <tonemapping_fragment>
       #include <colorspace_fragment>
     }
@@ -72,9 +73,11 @@ const fragmentShader = /* glsl */ `
     gl_FragColor.rgb = mix(gl_FragColor.rgb, vec3(0.3, 0.7, 1.0), selected * (0.12 + 0.6 * pow(1.0 - facing, 3.0)));
   }`;
 
-/** The material of one primitive. */
-export function surface(albedo: Color, emission: Color, doubleSided: boolean): ShaderMaterial {
+/** The material of one primitive. Light goes through where its opacity is below 1. */
+export function surface(albedo: Color, emission: Color, doubleSided: boolean, opacity: number): ShaderMaterial {
   return new ShaderMaterial({
+    transparent: opacity < 1,
+    depthWrite: opacity >= 1,
     vertexShader,
     fragmentShader,
     side: doubleSided ? DoubleSide : FrontSide,
@@ -83,6 +86,7 @@ export function surface(albedo: Color, emission: Color, doubleSided: boolean): S
       selected: { value: 0 },
       albedo: { value: new Vector3(albedo.r, albedo.g, albedo.b) },
       emission: { value: new Vector3(emission.r, emission.g, emission.b) },
+      opacity: { value: opacity },
     },
   });
 }

@@ -123,7 +123,8 @@ export class Stage {
         geometry.setAttribute('base', base);
         const from = child.material as MeshStandardMaterial;
         const emission = from.emissive.clone().multiplyScalar(from.emissiveIntensity);
-        const mesh = new Mesh(geometry, surface(from.color, emission, from.side === 2 && !object.with_back));
+        const doubleSided = from.side === 2 && !object.with_back;
+        const mesh = new Mesh(geometry, surface(from.color, emission, doubleSided, from.opacity));
         mesh.matrixAutoUpdate = false;
         mesh.matrix.copy(child.matrixWorld);
         group.add(mesh);

@@ -3,7 +3,7 @@
 use super::lanes::{Lanes, Stack};
 use super::node::{Node, WIDTH};
 use super::traverse::{any_hit, closest_hit};
-use super::{Bvh, Hit, Ray, TriangleMask};
+use super::{Bvh, Filter, Hit, Ray};
 use std::arch::x86_64::*;
 
 pub(super) struct Avx2;
@@ -89,17 +89,17 @@ macro_rules! entry_points {
         /// # Safety
         /// The CPU has the instruction set.
         #[target_feature(enable = $features)]
-        pub(super) unsafe fn closest<const MASKED: bool>(bvh: &Bvh, ray: &Ray, mask: &TriangleMask) -> Option<Hit> {
+        pub(super) unsafe fn closest<F: Filter>(bvh: &Bvh, ray: &Ray, filter: &mut F) -> Option<Hit> {
             // SAFETY: the features are enabled here.
-            unsafe { closest_hit::<$lanes, MASKED>(bvh, ray, mask) }
+            unsafe { closest_hit::<$lanes, F>(bvh, ray, filter) }
         }
 
         /// # Safety
         /// The CPU has the instruction set.
         #[target_feature(enable = $features)]
-        pub(super) unsafe fn any<const MASKED: bool>(bvh: &Bvh, ray: &Ray, mask: &TriangleMask) -> bool {
+        pub(super) unsafe fn any<F: Filter>(bvh: &Bvh, ray: &Ray, filter: &mut F) -> bool {
             // SAFETY: the features are enabled here.
-            unsafe { any_hit::<$lanes, MASKED>(bvh, ray, mask) }
+            unsafe { any_hit::<$lanes, F>(bvh, ray, filter) }
         }
     };
 }

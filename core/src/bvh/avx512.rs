@@ -4,7 +4,7 @@ use super::avx2::{avx_arithmetic, entry_points};
 use super::lanes::{Lanes, Stack};
 use super::node::{Node, WIDTH};
 use super::traverse::{any_hit, closest_hit};
-use super::{Bvh, Hit, Ray, TriangleMask};
+use super::{Bvh, Filter, Hit, Ray};
 use std::arch::x86_64::*;
 
 pub(super) struct Avx512;

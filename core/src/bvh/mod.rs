@@ -8,6 +8,7 @@ mod avx2;
 mod avx512;
 mod build;
 mod collapse;
+mod filter;
 mod lanes;
 mod mask;
 mod node;
@@ -17,10 +18,12 @@ mod tests;
 mod traverse;
 mod validate;
 
+pub(crate) use self::filter::Filter;
 pub use self::mask::TriangleMask;
 pub use self::node::Bounds;
 
 use self::build::Input;
+use self::filter::All;
 use self::node::{Block, Node};
 use self::portable::Portable;
 use glam::Vec3;
@@ -115,24 +118,18 @@ pub struct Bvh {
     instruction_set: InstructionSet,
 }
 
-/// Calls the traversal of the tree's instruction set with the mask as a constant.
+/// Calls the traversal of the tree's instruction set.
 macro_rules! dispatch {
-    ($bvh:expr, $ray:expr, $mask:expr, $entry:ident, $generic:ident) => {{
-        let (bvh, ray) = ($bvh, $ray);
-        let no_mask = TriangleMask::default();
+    ($bvh:expr, $ray:expr, $filter:expr, $entry:ident, $generic:ident) => {{
+        let (bvh, ray, filter) = ($bvh, $ray, $filter);
         // SAFETY: `instruction_set` is one of `InstructionSet::available`.
         unsafe {
-            match ($mask.filter(|mask| mask.any()), bvh.instruction_set) {
-                (None, InstructionSet::Portable) => traverse::$generic::<Portable, false>(bvh, ray, &no_mask),
-                (Some(mask), InstructionSet::Portable) => traverse::$generic::<Portable, true>(bvh, ray, mask),
+            match bvh.instruction_set {
+                InstructionSet::Portable => traverse::$generic::<Portable, _>(bvh, ray, filter),
                 #[cfg(target_arch = "x86_64")]
-                (None, InstructionSet::Avx2) => avx2::$entry::<false>(bvh, ray, &no_mask),
+                InstructionSet::Avx2 => avx2::$entry(bvh, ray, filter),
                 #[cfg(target_arch = "x86_64")]
-                (Some(mask), InstructionSet::Avx2) => avx2::$entry::<true>(bvh, ray, mask),
-                #[cfg(target_arch = "x86_64")]
-                (None, InstructionSet::Avx512) => avx512::$entry::<false>(bvh, ray, &no_mask),
-                #[cfg(target_arch = "x86_64")]
-                (Some(mask), InstructionSet::Avx512) => avx512::$entry::<true>(bvh, ray, mask),
+                InstructionSet::Avx512 => avx512::$entry(bvh, ray, filter),
             }
         }
     }};
@@ -165,13 +162,31 @@ impl Bvh {
     /// The triangle hit first at `t_min ≤ t < t_max` from either side, except those that `mask` takes out.
     #[inline]
     pub fn closest_hit(&self, ray: &Ray, mask: Option<&TriangleMask>) -> Option<Hit> {
-        dispatch!(self, ray, mask, closest, closest_hit)
+        match mask.filter(|mask| mask.any()) {
+            None => self.closest_hit_of(ray, &mut All),
+            Some(mut mask) => self.closest_hit_of(ray, &mut mask),
+        }
     }
 
     /// Whether anything is hit at `t_min ≤ t < t_max`: exactly when [`Self::closest_hit`] finds something.
     #[inline]
     pub fn any_hit(&self, ray: &Ray, mask: Option<&TriangleMask>) -> bool {
-        dispatch!(self, ray, mask, any, any_hit)
+        match mask.filter(|mask| mask.any()) {
+            None => self.any_hit_of(ray, &mut All),
+            Some(mut mask) => self.any_hit_of(ray, &mut mask),
+        }
+    }
+
+    /// The triangle hit first at `t_min ≤ t < t_max` from either side, of those that `filter` does not pass.
+    #[inline(always)]
+    pub(crate) fn closest_hit_of(&self, ray: &Ray, filter: &mut impl Filter) -> Option<Hit> {
+        dispatch!(self, ray, filter, closest, closest_hit)
+    }
+
+    /// Whether anything that `filter` does not pass is hit at `t_min ≤ t < t_max`.
+    #[inline(always)]
+    pub(crate) fn any_hit_of(&self, ray: &Ray, filter: &mut impl Filter) -> bool {
+        dispatch!(self, ray, filter, any, any_hit)
     }
 
     /// The smallest box of all triangles, without padding. [`Bounds::EMPTY`] if there are none.

@@ -8,7 +8,7 @@
 
 use super::lanes::{Lanes, Stack, StackMemory};
 use super::node::{Block, ChildRef, NO_TRIANGLE, Node};
-use super::{Bvh, Hit, Ray, TriangleMask};
+use super::{Bvh, Filter, Hit, Ray};
 use glam::{DVec3, Vec2, Vec3};
 
 /// Lengthens the far end of slab intervals by more than the rounding errors of both ends: 2γ₃ of
@@ -226,11 +226,7 @@ unsafe fn prefetch_next<L: Lanes>(bvh: &Bvh, stack: &Stack) {
 /// # Safety
 /// The CPU has the instruction set `L`, enabled in the caller.
 #[inline(always)]
-pub(super) unsafe fn closest_hit<L: Lanes, const MASKED: bool>(
-    bvh: &Bvh,
-    ray: &Ray,
-    mask: &TriangleMask,
-) -> Option<Hit> {
+pub(super) unsafe fn closest_hit<L: Lanes, F: Filter>(bvh: &Bvh, ray: &Ray, filter: &mut F) -> Option<Hit> {
     // SAFETY: references in nodes were made by the collapse and point into the arrays; the stack holds MAX_DEPTH
     // levels.
     unsafe {
@@ -251,7 +247,7 @@ pub(super) unsafe fn closest_hit<L: Lanes, const MASKED: bool>(
                         hits &= hits - 1;
                         let (t, id) = (t[lane], block.ids[lane]);
                         let nearer = t < best.t || t == best.t && id < best.id;
-                        if nearer && !(MASKED && mask.get(id)) {
+                        if nearer && !filter.passes(id, t, || barycentrics(ray, &block.triangle(lane))) {
                             best = Candidate { t, id, block: child.index(), lane };
                             limit = t;
                         }
@@ -274,7 +270,7 @@ pub(super) unsafe fn closest_hit<L: Lanes, const MASKED: bool>(
 /// # Safety
 /// The CPU has the instruction set `L`, enabled in the caller.
 #[inline(always)]
-pub(super) unsafe fn any_hit<L: Lanes, const MASKED: bool>(bvh: &Bvh, ray: &Ray, mask: &TriangleMask) -> bool {
+pub(super) unsafe fn any_hit<L: Lanes, F: Filter>(bvh: &Bvh, ray: &Ray, filter: &mut F) -> bool {
     // SAFETY: as in `closest_hit`.
     unsafe {
         let lanes = RayLanes::<L>::new(ray, bvh.padding);
@@ -285,10 +281,11 @@ pub(super) unsafe fn any_hit<L: Lanes, const MASKED: bool>(bvh: &Bvh, ray: &Ray,
         while let Some(child) = next {
             if child.is_block() {
                 let block = bvh.blocks.get_unchecked(child.index());
-                let (mut hits, _) = intersect_block::<L>(block, &lanes, limit);
+                let (mut hits, t) = intersect_block::<L>(block, &lanes, limit);
                 while hits != 0 {
                     let lane = hits.trailing_zeros() as usize & 7;
-                    if !(MASKED && mask.get(block.ids[lane])) {
+                    let place = || barycentrics(ray, &block.triangle(lane));
+                    if !filter.passes(block.ids[lane], L::store(t)[lane], place) {
                         return true;
                     }
                     hits &= hits - 1;

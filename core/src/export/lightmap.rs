@@ -36,6 +36,7 @@ struct Piece {
     triangles: Vec<[u32; 3]>,
     triangle_materials: Vec<u32>,
     materials: Vec<Material>,
+    opacities: Vec<f32>,
 }
 
 impl Piece {
@@ -50,6 +51,7 @@ impl Piece {
             triangles: cells.iter().map(|patch| patch.elements).collect(),
             triangle_materials: cells.iter().map(material).collect(),
             materials: object.materials.clone(),
+            opacities: (0..object.materials.len()).map(|material| object.mean_opacity(material)).collect(),
         };
         if placed.with_back {
             piece.positions.extend_from_within(..);
@@ -81,6 +83,7 @@ impl Piece {
             triangles: &self.triangles,
             triangle_materials: &self.triangle_materials,
             materials: &self.materials,
+            opacities: &self.opacities,
         }
     }
 }

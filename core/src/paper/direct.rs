@@ -26,7 +26,7 @@ impl ObjectScene<'_> {
                     continue;
                 }
                 let sequence = R2::new(&mut rng);
-                let mut weight = 0.0;
+                let mut weight = Vec3::ZERO;
                 for k in 0..count {
                     let u = sequence.get(k);
                     weight += if own {
@@ -42,16 +42,17 @@ impl ObjectScene<'_> {
     }
 
     /// Weight of a light sample that the object hides and S does not.
-    fn hidden_weight(&self, emitter: &Emitter, point: Vec3, n: Vec3, u: [f32; 2], rays: &mut u64) -> f32 {
-        let Some(sample) = emitter.sample(point, n, u) else { return 0.0 };
+    fn hidden_weight(&self, emitter: &Emitter, point: Vec3, n: Vec3, u: [f32; 2], rays: &mut u64) -> Vec3 {
+        let Some(sample) = emitter.sample(point, n, u) else { return Vec3::ZERO };
         let end = sample.end(point);
         let segment = Ray { origin: point, direction: sample.direction, t_min: 0.0, t_max: sample.distance - end };
         *rays += 1;
-        if !self.object.any_hit(&segment, None) {
-            return 0.0;
+        let hidden = Vec3::ONE - self.object.transmittance(&segment);
+        if hidden == Vec3::ZERO {
+            return Vec3::ZERO;
         }
         *rays += 1;
-        if self.without.any_hit(&segment) { 0.0 } else { sample.weight }
+        self.without.transmittance(&segment) * hidden * (sample.weight * sample.share)
     }
 
     fn is_of_object(&self, emitter: &Emitter) -> bool {

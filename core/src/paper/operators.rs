@@ -101,18 +101,28 @@ impl ObjectScene<'_> {
     /// What the object changes along a ray; none where it is missed or hidden.
     fn change_along(&self, ray: &Ray, field: &Field, rng: &mut Pcg32, rays: &mut u64) -> Option<(Vec3, Vec3)> {
         *rays += 1;
-        let hit = self.object.closest_hit(ray, None)?;
-        *rays += 1;
-        let behind = self.without.closest_hit(ray);
-        if behind.is_some_and(|behind| behind.t <= hit.t) {
+        let hit = self.object.closest_hit(ray);
+        let t = hit.map_or(f32::INFINITY, |hit| hit.t);
+        if hit.is_none() && self.object.tint(ray, t) == Vec3::ONE {
             return None;
         }
-        let sent = self.follow(*ray, Some(hit), field, rng, rays);
+        *rays += 1;
+        // What is left of light with the object and without it.
+        let mut before = Vec3::ONE;
+        let behind = self.without.first_hit(ray, &mut before);
+        let end = behind.map_or(f32::INFINITY, |behind| behind.t);
+        let is_behind = end <= t;
+        let after = self.object.tint(ray, t.min(end)) * self.without.tint(ray, t.min(end));
+        if is_behind && after == before {
+            return None;
+        }
+        let sent = if is_behind { Vec3::ZERO } else { self.follow(*ray, hit, field, rng, rays) };
+        let beyond = before - if is_behind { after } else { Vec3::ZERO };
         let (hidden, sky) = match behind {
             Some(behind) => (self.radiance(ray, &behind, field, rng, rays), Vec3::ZERO),
             None => (Vec3::ZERO, self.with.emitters.environment),
         };
-        Some((sent - hidden, -sky))
+        Some((sent * after - hidden * beyond, -sky * beyond))
     }
 
     /// Radiance that a surface reflects against a ray: the map, and direct light where `sampled`.
@@ -147,7 +157,7 @@ impl ObjectScene<'_> {
         for depth in 0..MAX_DEPTH {
             let hit = first.take().or_else(|| {
                 *rays += 1;
-                self.with.trees.closest_hit(&ray)
+                self.with.trees.first_hit(&ray, &mut beta)
             });
             let Some(hit) = hit else {
                 // The background at the first hit is direct light, which is counted elsewhere.
@@ -210,7 +220,7 @@ impl ObjectScene<'_> {
                 let mut beta = Vec3::ONE;
                 for _ in 0..path_length {
                     *rays += 1;
-                    let Some(hit) = self.without.closest_hit(&ray) else { break };
+                    let Some(hit) = self.without.first_hit(&ray, &mut beta) else { break };
                     let Some(vertex) = Vertex::new(self.with, &ray, &hit) else { break };
                     beta *= vertex.surfel.albedo;
                     if let Some(footprint) = vertex.surfel.footprint {

@@ -20,7 +20,7 @@ pub(super) struct ObjectScene<'a> {
     /// Of the elements of S while O is away; it may be neither that before nor that after an edit.
     pub validity: Validity,
     /// O.
-    pub object: Bvh,
+    pub object: Trees,
     /// Sphere around O: centre, radius (metres).
     pub sphere: (Vec3, f32),
     /// Per part: it belongs to O.
@@ -56,7 +56,7 @@ impl<'a> ObjectScene<'a> {
             with,
             validity: with.validity_among(&without, bounds),
             without,
-            object: Bvh::build(&corners, &ids, BuildQuality::Good),
+            object: Trees::of(Bvh::build(&corners, &ids, BuildQuality::Good), with.trees.openings.clone(), 0),
             sphere: bounding_sphere(&corners),
             is_object: with.space.parts().iter().map(|part| keys.contains(&part.object)).collect(),
             rows: of(false).collect(),

@@ -13,7 +13,7 @@ use crate::bvh::{Hit, Ray};
 use crate::random::{Pcg32, R2};
 use crate::scene::LightKind;
 use crate::transport::DirectLight;
-use crate::world::{Emitter, Placed, Shape, World, visible_weight};
+use crate::world::{Emitter, Placed, Shape, World, arriving};
 
 const NONE: u32 = u32::MAX;
 
@@ -59,9 +59,10 @@ impl<'a> Lights<'a> {
             }
             let sequence = R2::new(rng);
             for k in 0..count {
-                let w = visible_weight(emitter, &world.trees, point, n, sequence.get(k), rays);
+                let u = sequence.get(k);
+                let Some((w, left)) = arriving(emitter, &world.trees, point, n, u, rays) else { continue };
                 let cosine_samples = if emitter.is_delta() { 0.0 } else { self.cosine_samples };
-                sum += emitter.strength * (w / (count as f32 + cosine_samples * w));
+                sum += emitter.strength * left * (w / (count as f32 + cosine_samples * w));
             }
         }
         sum
@@ -83,9 +84,9 @@ impl<'a> Lights<'a> {
         let world = self.world;
         let Some((index, probability)) = world.emitters.choose(point, n, rng.next_f32()) else { return Vec3::ZERO };
         let emitter = &world.emitters.list[index];
-        let w = visible_weight(emitter, &world.trees, point, n, rng.next_2d(), rays);
+        let Some((w, left)) = arriving(emitter, &world.trees, point, n, rng.next_2d(), rays) else { return Vec3::ZERO };
         let cosine_samples = if emitter.is_delta() { 0.0 } else { 1.0 };
-        emitter.strength * (w / (probability + cosine_samples * w))
+        emitter.strength * left * (w / (probability + cosine_samples * w))
     }
 
     /// Radiance of a light that a cosine ray of a path met, its share beside [`Lights::sampled`].

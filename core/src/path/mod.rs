@@ -116,7 +116,7 @@ fn path(lights: &Lights, mut n: Vec3, mut ray: Ray, rng: &mut Pcg32, rays: &mut 
     let (mut direct, mut indirect, mut beta) = (Vec3::ZERO, Vec3::ZERO, Vec3::ONE);
     for depth in 1..MAX_DEPTH {
         *rays += 1;
-        let hit = world.trees.closest_hit(&ray);
+        let hit = world.trees.first_hit(&ray, &mut beta);
         let emitted = match &hit {
             Some(hit) if depth == 1 => lights.met_by_first(n, &ray, hit),
             Some(hit) => lights.met(n, &ray, hit),

@@ -8,13 +8,16 @@ use crate::bvh::{Hit, Ray};
 use crate::lightmap::LightMap;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
-use crate::scene::LightKind;
+use crate::scene::{LightKind, Passage};
 use crate::transport::direct::one_light;
 use crate::transport::{Field, Rough, Surfel};
 use crate::world::{World, visible_weight};
 
 /// Backs that a camera ray passes through at most.
 const MAX_BACKS: u32 = 64;
+
+/// Surfaces that let light through, one behind the other, that a picture shows at most.
+const MAX_SURFACES: u32 = 64;
 
 /// Up to so many lights each gets a shadow ray per sample; of more, as many are chosen by power.
 const MAX_LIGHTS: usize = 32;
@@ -58,14 +61,34 @@ impl<'a> Shading<'a> {
         sum / options.samples as f32
     }
 
-    fn radiance(&self, ray: Ray, k: u32, sequences: &[R2], rng: &mut Pcg32) -> Vec3 {
-        let Some((ray, hit)) = first_front(self.world, ray) else {
-            return match self.view {
-                View::Full | View::Direct => self.world.emitters.environment,
-                View::Indirect | View::LightMap => Vec3::ZERO,
+    /// What comes along a ray: of every surface as much as it is opaque and what is before it lets through.
+    fn radiance(&self, mut ray: Ray, k: u32, sequences: &[R2], rng: &mut Pcg32) -> Vec3 {
+        let (mut sum, mut left) = (Vec3::ZERO, Vec3::ONE);
+        for _ in 0..MAX_SURFACES {
+            let Some((there, hit)) = first_front(self.world, ray) else {
+                let sky = match self.view {
+                    View::Full | View::Direct => self.world.emitters.environment,
+                    View::Indirect | View::LightMap => Vec3::ZERO,
+                };
+                return sum + left * sky;
             };
-        };
-        let Some(surfel) = Surfel::to_look_up(self.world, &ray, &hit, &mut 0) else { return Vec3::ZERO };
+            let passage = self.world.trees.passage(&hit);
+            let opacity = passage.map_or(1.0, |passage| passage.opacity);
+            if opacity > 0.0 {
+                sum += left * opacity * self.surface(&there, &hit, k, sequences, rng);
+            }
+            left *= passage.map_or(Vec3::ZERO, Passage::transmittance);
+            if left == Vec3::ZERO {
+                break;
+            }
+            ray.t_min = hit.t.next_up();
+        }
+        sum
+    }
+
+    /// What a surface sends along the ray that met it.
+    fn surface(&self, ray: &Ray, hit: &Hit, k: u32, sequences: &[R2], rng: &mut Pcg32) -> Vec3 {
+        let Some(surfel) = Surfel::to_look_up(self.world, ray, hit, &mut 0) else { return Vec3::ZERO };
         let emission = self.emission[surfel.part as usize];
         match self.view {
             View::Full => {
@@ -98,8 +121,8 @@ impl<'a> Shading<'a> {
         if world.emitters.environment != Vec3::ZERO {
             let u = sequences[sequences.len() - 1].get(k);
             let direction = cosine_hemisphere(n, u);
-            let free = !world.trees.any_hit(&Ray { origin: point, direction, t_min: 0.0, t_max: f32::INFINITY });
-            sum += world.emitters.environment * f32::from(u8::from(free));
+            let ray = Ray { origin: point, direction, t_min: 0.0, t_max: f32::INFINITY };
+            sum += world.emitters.environment * world.trees.transmittance(&ray);
         }
         sum
     }
@@ -130,14 +153,26 @@ pub(super) fn place(options: &RenderOptions, within: &R2, k: u32) -> [f32; 2] {
     if options.samples == 1 { [0.5, 0.5] } else { within.get(k) }
 }
 
-/// The first surface that a camera sees along a ray: backs that reflect nothing are looked through. The ray keeps its
-/// origin, so the hit's distance counts from there.
+/// The first surface that a camera sees along a ray, be it seen through: holes and backs that reflect nothing are looked
+/// through. The ray keeps its origin, so the hit's distance counts from there.
 pub(super) fn first_front(world: &World, mut ray: Ray) -> Option<(Ray, Hit)> {
     for _ in 0..MAX_BACKS {
-        let hit = world.trees.closest_hit(&ray)?;
+        let hit = world.trees.closest_place(&ray)?;
         let part = world.space.part(hit.triangle);
         if part.double_sided || hit.normal.dot(ray.direction) <= 0.0 {
             return Some((ray, hit));
+        }
+        ray.t_min = hit.t.next_up();
+    }
+    None
+}
+
+/// [`first_front`], of surfaces that hide more than half of what is behind them.
+pub(super) fn first_seen(world: &World, mut ray: Ray) -> Option<(Ray, Hit)> {
+    for _ in 0..MAX_SURFACES {
+        let (there, hit) = first_front(world, ray)?;
+        if world.trees.passage(&hit).is_none_or(|passage| passage.opacity > 0.5) {
+            return Some((there, hit));
         }
         ray.t_min = hit.t.next_up();
     }

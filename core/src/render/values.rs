@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::camera::Rays;
 use super::palette::{Palette, nice_scale};
-use super::shade::{first_front, pixel_random, place, smooth_normal};
+use super::shade::{first_seen, pixel_random, place, smooth_normal};
 use super::{RenderOptions, Viewpoint, tiles, write_png};
 use crate::export::ExportError;
 use crate::job::{Canceled, Observer};
@@ -80,7 +80,7 @@ pub fn render_values(
     assert_eq!(values.len(), world.slots(), "one value per slot");
     let rays = Rays::new(world, viewpoint, options.width, options.height);
     let sample = |x: usize, y: usize, u: [f32; 2]| {
-        let (ray, hit) = first_front(world, rays.through(x, y, u))?;
+        let (ray, hit) = first_seen(world, rays.through(x, y, u))?;
         let surfel = Surfel::new(world, &ray, &hit)?;
         let facing = smooth_normal(world, &surfel).dot(ray.direction).abs();
         Some((surfel.footprint.map_or(0.0, |footprint| footprint.interpolate(values)), facing))
@@ -114,7 +114,7 @@ pub fn visible_slots(
     tiles(options, observer, |x, y| {
         let within = R2::new(&mut pixel_random(options, x, y));
         for k in 0..options.samples {
-            let met = first_front(world, rays.through(x, y, place(options, &within, k)));
+            let met = first_seen(world, rays.through(x, y, place(options, &within, k)));
             let surfel = met.and_then(|(ray, hit)| Surfel::new(world, &ray, &hit));
             for &slot in surfel.and_then(|surfel| surfel.footprint).iter().flat_map(|footprint| footprint.slots()) {
                 seen[slot as usize].store(true, Ordering::Relaxed);

@@ -1,8 +1,8 @@
 //! What of a material varies from place to place, and what lets light through.
 
-use glam::Vec3;
+use glam::{Vec2, Vec3, Vec4};
 
-use super::TextureUse;
+use super::{Object, TextureMean, TextureUse};
 
 /// Colour, emission and transparency of a material by place, as the file has them. At a place the base colour is
 /// `factor` × the texture × the mesh's colour, and the emission is `emission` × its texture; texels that alpha rules
@@ -17,6 +17,8 @@ pub struct Look {
     pub alpha_mode: AlphaMode,
     /// Base colour and alpha texture.
     pub base_color: Option<TextureUse>,
+    /// An edit has painted over the colour: of texture and vertex colours only alpha counts, and what goes through.
+    pub is_painted: bool,
     /// Emissive factor times strength, radiance.
     pub emission: Vec3,
     /// Emissive texture.
@@ -24,6 +26,10 @@ pub struct Look {
     /// Share of the light that is not reflected at the surface and goes through it (`KHR_materials_transmission`),
     /// 0..=1.
     pub transmission: f32,
+    /// What the volume below takes of that light, per metre, linear RGB, each 0 or more (`KHR_materials_volume`) …
+    pub absorption: Vec3,
+    /// … over this length, in the mesh's space; 0: a thin sheet without a volume.
+    pub thickness: f32,
 }
 
 /// What the alpha of a material means.
@@ -37,6 +43,22 @@ pub enum AlphaMode {
     Blend,
 }
 
+/// What happens to light that meets a surface at a place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Passage {
+    /// Share that does not go through, 0..=1: it is reflected as the albedo says.
+    pub opacity: f32,
+    /// What is left of the rest behind the surface, linear RGB, each 0..=1.
+    pub tint: Vec3,
+}
+
+impl Passage {
+    /// What of the light is left behind the surface, linear RGB.
+    pub(crate) fn transmittance(self) -> Vec3 {
+        self.tint * (1.0 - self.opacity)
+    }
+}
+
 impl Look {
     /// One colour all over, opaque.
     pub fn plain(factor: Vec3) -> Self {
@@ -45,15 +67,125 @@ impl Look {
             alpha: 1.0,
             alpha_mode: AlphaMode::Opaque,
             base_color: None,
+            is_painted: false,
             emission: Vec3::ZERO,
             emissive: None,
             transmission: 0.0,
+            absorption: Vec3::ZERO,
+            thickness: 0.0,
         }
     }
 
     /// Whether it says more than one albedo and one emission do.
     pub fn varies(&self) -> bool {
-        let is_plain = self.alpha_mode == AlphaMode::Opaque && self.transmission == 0.0;
-        !is_plain || self.base_color.is_some() || self.emissive.is_some()
+        self.may_let_light_through() || self.base_color.is_some() || self.emissive.is_some()
+    }
+
+    /// Whether light may go through some place.
+    pub fn may_let_light_through(&self) -> bool {
+        self.alpha_mode != AlphaMode::Opaque || self.transmission > 0.0
+    }
+
+    /// Whether all light goes through every place, whatever the mesh: as if there were no surface.
+    pub fn is_clear(&self) -> bool {
+        let is_white = self.factor == Vec3::ONE && self.base_color.is_none();
+        let is_thin = self.thickness == 0.0 || self.absorption == Vec3::ZERO;
+        let is_gone = match self.alpha_mode {
+            AlphaMode::Opaque => false,
+            AlphaMode::Mask(cutoff) => self.alpha < cutoff,
+            AlphaMode::Blend => self.alpha == 0.0,
+        };
+        is_gone || self.transmission >= 1.0 && is_white && is_thin
+    }
+
+    /// Whether no light goes through a triangle of the picture (texture coordinates of the mesh) with these alphas of
+    /// the mesh's colour at its corners. Holes that are a millionth of it may be overlooked.
+    pub(crate) fn is_opaque_over(&self, texcoords: [Vec2; 3], alphas: [f32; 3]) -> bool {
+        let least = alphas.into_iter().fold(self.alpha, |least, alpha| least.min(self.alpha * alpha));
+        let of_texture = |texture: &TextureUse| texture.mean_over(texcoords).weight;
+        let weight = self.base_color.as_ref().map_or(1.0, of_texture);
+        self.transmission <= 0.0
+            && match self.alpha_mode {
+                AlphaMode::Opaque => true,
+                AlphaMode::Mask(cutoff) => weight >= 1.0 && least >= cutoff,
+                AlphaMode::Blend => weight >= 1.0 && least >= 1.0,
+            }
+    }
+
+    /// What happens to light at a place, given by texture coordinates of the picture (the whole counts where they are no
+    /// numbers); `color` is the mesh's there, and `volume` what the volume behind leaves of light.
+    #[inline]
+    pub(crate) fn passage(&self, uv: Vec2, color: Vec4, volume: Vec3) -> Passage {
+        let covered = self.coverage(uv, color.w);
+        if self.transmission <= 0.0 {
+            return Passage { opacity: covered, tint: Vec3::ONE };
+        }
+        let texture = self.base_color.as_ref().map_or(Vec3::ONE, |texture| texel(texture, uv).color);
+        let base = (self.factor * texture * color.truncate()).clamp(Vec3::ZERO, Vec3::ONE);
+        let (opacity, through) = (covered * (1.0 - self.transmission), covered * self.transmission);
+        let behind = Vec3::splat(1.0 - covered) + base * volume * through;
+        let tint = if opacity < 1.0 { (behind / (1.0 - opacity)).min(Vec3::ONE) } else { Vec3::ONE };
+        Passage { opacity, tint }
+    }
+
+    /// Share of a place that is surface.
+    #[inline]
+    fn coverage(&self, uv: Vec2, vertex_alpha: f32) -> f32 {
+        let alpha = self.alpha * vertex_alpha;
+        let texture = self.base_color.as_ref();
+        let of_texel = |texture: &TextureUse| texel(texture, uv).weight;
+        let if_all = |is_there: bool| f32::from(u8::from(is_there));
+        match (self.alpha_mode, texture) {
+            (AlphaMode::Opaque, _) => 1.0,
+            (AlphaMode::Mask(cutoff), None) => if_all(alpha >= cutoff),
+            (AlphaMode::Mask(cutoff), Some(t)) if t.texture.has_mask() => {
+                let is_there = alpha >= cutoff && t.texture.is_solid_at(uv, t.wrap);
+                if uv.is_finite() { if_all(is_there) } else { if_all(alpha >= cutoff) * of_texel(t) }
+            }
+            (AlphaMode::Mask(cutoff), Some(t)) => if_all(alpha * of_texel(t) >= cutoff),
+            (AlphaMode::Blend, _) => (alpha * texture.map_or(1.0, of_texel)).clamp(0.0, 1.0),
+        }
+    }
+
+    /// Mean share of light that does not go through a triangle of the picture, as [`Look::is_opaque_over`] has it.
+    fn mean_opacity_over(&self, texcoords: [Vec2; 3], alphas: [f32; 3]) -> f32 {
+        let weight = self.base_color.as_ref().map_or(1.0, |texture| texture.mean_over(texcoords).weight);
+        let alpha = self.alpha * alphas.into_iter().sum::<f32>() / 3.0;
+        let has_mask = self.base_color.as_ref().is_some_and(|texture| texture.texture.has_mask());
+        let covered = match self.alpha_mode {
+            AlphaMode::Opaque => 1.0,
+            AlphaMode::Mask(cutoff) if has_mask => weight * f32::from(u8::from(alpha >= cutoff)),
+            AlphaMode::Mask(cutoff) => f32::from(u8::from(alpha * weight >= cutoff)),
+            AlphaMode::Blend => alpha * weight,
+        };
+        covered * (1.0 - self.transmission)
+    }
+}
+
+/// The texel at a place, or the whole.
+fn texel(texture: &TextureUse, uv: Vec2) -> TextureMean {
+    if uv.is_finite() { texture.texture.texel(uv, texture.wrap) } else { texture.texture.mean() }
+}
+
+impl Object {
+    /// Mean share of light that does not go through what an object has of a material, 0..=1.
+    pub fn mean_opacity(&self, material: usize) -> f32 {
+        let look = self.looks.get(material).and_then(Option::as_deref);
+        let Some(look) = look.filter(|look| look.may_let_light_through()) else { return 1.0 };
+        let mesh = &*self.mesh;
+        let set = look.base_color.as_ref().map_or(0, |texture| texture.texcoord);
+        let (mut sum, mut total) = (0.0, 0.0);
+        let of_material = mesh.triangles.iter().zip(&mesh.triangle_materials).filter(|(_, m)| **m as usize == material);
+        for (triangle, _) in of_material {
+            let corners = triangle.map(|vertex| vertex as usize);
+            let [a, b, c] = corners.map(|vertex| mesh.positions[vertex].as_dvec3());
+            let texcoord = |vertex: usize| mesh.texcoords.get(set)?.get(vertex).copied();
+            let texcoords = corners.map(|vertex| texcoord(vertex).unwrap_or(Vec2::NAN));
+            let alphas = corners.map(|vertex| mesh.colors.get(vertex).map_or(1.0, |color| color.w));
+            let area = (b - a).cross(c - a).length();
+            sum += area * f64::from(look.mean_opacity_over(texcoords, alphas));
+            total += area;
+        }
+        if total > 0.0 { (sum / total) as f32 } else { 1.0 }
     }
 }

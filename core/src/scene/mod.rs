@@ -13,6 +13,7 @@ mod texture;
 
 pub use self::gltf::{LoadError, LoadLimits, load, load_path};
 pub use self::light::{Light, LightKind};
+pub(crate) use self::look::Passage;
 pub use self::look::{AlphaMode, Look};
 pub use self::merge::merge_as_object;
 pub use self::texture::{AlphaUse, Texture, TextureMean, TextureUse, Wrap};
@@ -42,6 +43,17 @@ pub struct Scene {
     pub warnings: Vec<String>,
     /// Triangles without an area that were dropped.
     pub degenerate_triangles: usize,
+}
+
+impl Scene {
+    /// Bytes of all textures; those that objects share count once.
+    pub(crate) fn texture_bytes(&self) -> usize {
+        let looks = self.objects.iter().flat_map(|object| object.looks.iter().flatten());
+        let textures = looks.flat_map(|look| [&look.base_color, &look.emissive]).flatten();
+        let by_address: BTreeMap<*const Texture, usize> =
+            textures.map(|of| (Arc::as_ptr(&of.texture), of.texture.bytes())).collect();
+        by_address.values().sum()
+    }
 }
 
 /// A named glTF node with a mesh: the unit of an edit.

@@ -4,11 +4,11 @@
 
 use std::sync::Arc;
 
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 
 use super::layout::Layout;
-use crate::scene::{Look, Mesh, Object};
-use crate::surface::{Surface, barycentrics};
+use crate::scene::{Look, Object};
+use crate::surface::{Corners, Surface, barycentrics};
 
 /// A diffuse albedo, linear RGB, as it is told and as light has it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -54,9 +54,10 @@ impl Albedos {
 /// out. None where every material of an object is the same all over.
 fn by_place(object: &Object, surface: &Surface, layout: &Layout) -> Option<Vec<Vec3>> {
     let look = |material: usize| object.looks.get(material).and_then(Option::as_deref);
-    let is_textured = |material: usize| look(material).is_some_and(|look| look.base_color.is_some());
+    let is_textured = |material: usize| look(material).is_some_and(|l| l.base_color.is_some() && !l.is_painted);
     let mesh = &*object.mesh;
-    if mesh.colors.is_empty() && !(0..object.materials.len()).any(is_textured) {
+    let is_white = mesh.colors.iter().all(|color| color.truncate() == Vec3::ONE);
+    if is_white && !(0..object.materials.len()).any(is_textured) {
         return None;
     }
     // Of every cell: its elements, and colour and weight of what it shows.
@@ -66,8 +67,9 @@ fn by_place(object: &Object, surface: &Surface, layout: &Layout) -> Option<Vec<V
         let places = patch.corners.map(|corner| barycentrics(corner, surface.corners(patch.face as usize)));
         let uniform = object.materials[material].albedo;
         let (color, weight) = match look(material) {
-            Some(look) => corners.shown(look, &places),
-            None => (uniform * corners.color(&places), 1.0),
+            Some(look) if look.is_painted => (uniform, 1.0),
+            Some(look) => shown(&corners, look, &places),
+            None => (uniform * mean_color(&corners, &places), 1.0),
         };
         let [a, b, c] = patch.corners;
         Some((patch.elements, color.clamp(Vec3::ZERO, Vec3::ONE), weight * (b - a).cross(c - a).length(), uniform))
@@ -84,46 +86,26 @@ fn by_place(object: &Object, surface: &Surface, layout: &Layout) -> Option<Vec<V
     Some(sums.into_iter().map(mean).collect())
 }
 
-/// What the mesh has at the corners of a triangle.
-struct Corners {
-    texcoords: [[Vec2; 3]; 2],
-    colors: [Vec3; 3],
+/// Mean vertex colour of a cell, whose corners are given by barycentric weights.
+fn mean_color(corners: &Corners, places: &[[f32; 3]; 3]) -> Vec3 {
+    places.iter().map(|place| corners.color(*place).truncate()).sum::<Vec3>() / 3.0
 }
 
-impl Corners {
-    fn new(mesh: &Mesh, surface: &Surface, face: u32) -> Corners {
-        let source = surface.sources[face as usize];
-        let [a, b, c] = mesh.triangles[source.triangle()];
-        let vertices = if source.turned() { [a, c, b] } else { [a, b, c] }.map(|vertex| vertex as usize);
-        let texcoords = [0, 1].map(|set| vertices.map(|v| mesh.texcoords[set].get(v).copied().unwrap_or_default()));
-        let colors = vertices.map(|v| mesh.colors.get(v).map_or(Vec3::ONE, |color| color.truncate()));
-        Corners { texcoords, colors }
-    }
-
-    /// Mean vertex colour of a cell, whose corners are given by barycentric weights.
-    fn color(&self, places: &[[f32; 3]; 3]) -> Vec3 {
-        let at = |weights: &[f32; 3]| self.colors.iter().zip(weights).map(|(color, w)| *color * *w).sum::<Vec3>();
-        places.iter().map(at).sum::<Vec3>() / 3.0
-    }
-
-    /// Mean colour of a cell, and the share of it that is no hole.
-    fn shown(&self, look: &Look, places: &[[f32; 3]; 3]) -> (Vec3, f32) {
-        let factor = look.factor * self.color(places);
-        let Some(texture) = &look.base_color else { return (factor, 1.0) };
-        let texcoords = &self.texcoords[texture.texcoord.min(1)];
-        let at = |weights: [f32; 3]| texcoords.iter().zip(weights).map(|(uv, w)| *uv * w).sum::<Vec2>();
-        let mean = texture.mean_over(places.map(at));
-        (factor * mean.color, mean.weight)
-    }
+/// Mean colour of a cell, and the share of it that is no hole.
+fn shown(corners: &Corners, look: &Look, places: &[[f32; 3]; 3]) -> (Vec3, f32) {
+    let factor = look.factor * mean_color(corners, places);
+    let Some(texture) = &look.base_color else { return (factor, 1.0) };
+    let mean = texture.mean_over(places.map(|place| corners.texcoord(texture.texcoord, place)));
+    (factor * mean.color, mean.weight)
 }
 
 #[cfg(test)]
 mod tests {
-    use glam::{DMat4, Mat2, Vec4};
+    use glam::{DMat4, Mat2, Vec2, Vec4};
 
     use super::*;
     use crate::edit::Edit;
-    use crate::scene::{AlphaUse, Material, Scene, Texture, TextureUse, Wrap};
+    use crate::scene::{AlphaUse, Material, Mesh, Scene, Texture, TextureUse, Wrap};
     use crate::world::{World, WorldOptions};
 
     /// A square of a metre whose texture is black on the left and white on the right, and transparent on top.

@@ -2,7 +2,9 @@
 //! light has a resolution of its own (`space`).
 
 mod build;
+mod corners;
 mod place;
+mod see_through;
 #[cfg(test)]
 mod tests;
 mod topology;
@@ -11,7 +13,9 @@ mod weld;
 pub use self::build::{DEFAULT_ELEMENTS, default_spacing, object_area};
 
 pub(crate) use self::build::{barycentrics, triangle_area};
+pub(crate) use self::corners::Corners;
 pub(crate) use self::place::{moved_normals, moved_points};
+pub(crate) use self::see_through::SeeThrough;
 pub(crate) use self::weld::{MIN_COSINE, geometric_normal};
 
 use glam::Vec3;

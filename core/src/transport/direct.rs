@@ -51,7 +51,7 @@ impl DirectLight {
             }
             let count = if emitter.is_delta() { count } else { count * factor };
             let sequence = R2::new(rng);
-            let mut weight = 0.0;
+            let mut weight = Vec3::ZERO;
             for k in 0..count {
                 weight += visible_weight(emitter, &world.trees, point, n, sequence.get(k), rays);
             }
@@ -59,18 +59,14 @@ impl DirectLight {
         }
         if self.environment > 0 {
             let (count, sequence) = (self.environment * factor, R2::new(rng));
-            let mut free = 0;
+            let mut free = Vec3::ZERO;
             for k in 0..count {
                 let direction = cosine_hemisphere(n, sequence.get(k));
                 *rays += 1;
-                free += u32::from(!world.trees.any_hit(&Ray {
-                    origin: point,
-                    direction,
-                    t_min: 0.0,
-                    t_max: f32::INFINITY,
-                }));
+                let ray = Ray { origin: point, direction, t_min: 0.0, t_max: f32::INFINITY };
+                free += world.trees.transmittance(&ray);
             }
-            sum += world.emitters.sky::<V>() * (free as f32 / count as f32);
+            sum += world.emitters.sky::<V>() * (free / count as f32);
         }
         sum
     }

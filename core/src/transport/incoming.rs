@@ -36,7 +36,7 @@ pub(crate) struct Source<'a, F, V> {
 /// memory than to be looked up: it is fetched while the next path is followed.
 pub(crate) struct Landed {
     surfel: Surfel,
-    /// Share of what is looked up: the product of the albedos before it, and what is left to aimed directions.
+    /// Share of what is looked up: the product of the albedos and tints before it, and what is left to aimed directions.
     weight: Vec3,
     receiver: u32,
 }
@@ -110,13 +110,15 @@ impl<V: Value, F: Radiance<V>> Source<'_, F, V> {
         let Some((direction, cell)) = spots.aim(from, u) else { return V::default() };
         *rays += 1;
         let ray = Ray { origin: from.0, direction, t_min: 0.0, t_max: f32::INFINITY };
-        let Some(hit) = world.trees.closest_hit(&ray) else { return V::default() };
+        let mut left = Vec3::ONE;
+        let Some(hit) = world.trees.first_hit(&ray, &mut left) else { return V::default() };
         let Some(surfel) = Surfel::to_look_up(world, &ray, &hit, rays).filter(|surfel| surfel.cell == cell) else {
             return V::default();
         };
         match &surfel.footprint {
             Some(footprint) if !is_near(world, footprint, hit.t * hit.t) => {
-                (self.radiance)(receiver, &surfel, false, rng, rays) * spots.share(world, from, &surfel, ratio)
+                let share = left * spots.share(world, from, &surfel, ratio);
+                (self.radiance)(receiver, &surfel, false, rng, rays) * share
             }
             _ => V::default(),
         }

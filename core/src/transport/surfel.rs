@@ -94,7 +94,7 @@ impl Surfel {
             let to = world.positions()[slot as usize] + above;
             *rays += 1;
             let ray = Ray { origin: from, direction: to - from, t_min: 0.0, t_max: 0.98 };
-            from != to && world.trees.any_hit(&ray)
+            from != to && world.trees.any_hiding(&ray)
         };
         self.footprint = self.footprint.and_then(|footprint| footprint.without(is_out));
     }

@@ -37,7 +37,7 @@ const MAX_DEPTH: u32 = 64;
 /// How a path ended.
 pub(crate) enum End {
     /// At a surface that has elements and can be looked up. The weight is the product of all albedos met, its own
-    /// included.
+    /// included, and of what tinted surfaces on the way left.
     Landed(Surfel, Vec3),
     /// It left the scene after a near surface: what lights that surface from outside.
     Escaped(Vec3),
@@ -46,7 +46,7 @@ pub(crate) enum End {
 }
 
 /// Follows a ray to the first surface that can be looked up. `visit(surfel, weight, near)` sees all surfaces on the
-/// way, the last one included, with the product of the albedos before it; near ones are not looked up.
+/// way, the last one included, with the product of the albedos and tints before it; near ones are not looked up.
 #[inline]
 pub(crate) fn walk(
     world: &World,
@@ -60,7 +60,7 @@ pub(crate) fn walk(
     let mut weight = Vec3::ONE;
     for depth in 0..MAX_DEPTH {
         *rays += 1;
-        let Some(hit) = world.trees.closest_hit(&ray) else {
+        let Some(hit) = world.trees.first_hit(&ray, &mut weight) else {
             return if depth > 0 { End::Escaped(weight) } else { End::Absorbed };
         };
         let Some(surfel) = Surfel::to_look_up(world, &ray, &hit, rays) else { return End::Absorbed };
@@ -184,6 +184,6 @@ fn sky_at<V: Value>(world: &World, surfel: &Surfel, rng: &mut Pcg32, rays: &mut 
     *rays += 1;
     let origin = surfel.ray_origin();
     let direction = cosine_hemisphere(surfel.normal, rng.next_2d());
-    let hidden = world.trees.any_hit(&Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY });
-    if hidden { V::default() } else { world.emitters.sky() }
+    let left = world.trees.transmittance(&Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY });
+    world.emitters.sky::<V>() * left
 }

@@ -3,14 +3,14 @@
 use glam::Vec3;
 
 use super::extent::Extent;
-use crate::bvh::{Bvh, Ray};
+use crate::bvh::Ray;
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::{Spheres, cosine_hemisphere};
 use crate::solve::Subset;
 use crate::transport::{DirectLight, Work};
 use crate::value::Value;
-use crate::world::{Emitter, Transition, World};
+use crate::world::{Emitter, Transition, Trees, World};
 
 /// One light in both worlds.
 struct Pair<'a> {
@@ -121,25 +121,16 @@ impl<'a> DirectChange<'a> {
             let Some(sample) = emitter.sample(point, n, sequence.get(k)) else { continue };
             let end = sample.end(point);
             let ray = Ray { origin: point, direction: sample.direction, t_min: 0.0, t_max: sample.distance - end };
-            let came = self.hides(&self.transition.come, &ray, rays);
-            let went = self.hides(&self.transition.gone, &ray, rays);
-            let (before, after) = (pair.before * f32::from(!went), pair.after * f32::from(!came));
+            let came = left(self.transition.come.as_ref(), &ray, rays);
+            let went = left(self.transition.gone.as_ref(), &ray, rays);
+            let (before, after) = (pair.before * went, pair.after * came);
             if before == after {
                 continue;
             }
             *rays += 1;
-            if !self.transition.common.any_hit(&ray) {
-                sum += (after - before) * sample.weight;
-            }
+            sum += (after - before) * self.transition.common.transmittance(&ray) * (sample.weight * sample.share);
         }
         sum / count as f32
-    }
-
-    fn hides(&self, tree: &Option<std::sync::Arc<Bvh>>, ray: &Ray, rays: &mut u64) -> bool {
-        tree.as_ref().is_some_and(|t| {
-            *rays += 1;
-            t.any_hit(ray, None)
-        })
     }
 
     /// Whether a segment to the light can pass through the sphere of changed geometry: their cones overlap.
@@ -161,13 +152,22 @@ impl<'a> DirectChange<'a> {
     }
 
     /// Free part of the sky before the edit, by the cosine: the change of what hides it is with the source's rays.
-    fn sky_before(&self, point: Vec3, n: Vec3, samples: u32, rng: &mut Pcg32, rays: &mut u64) -> f32 {
+    fn sky_before(&self, point: Vec3, n: Vec3, samples: u32, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
         let sequence = R2::new(rng);
-        let free = (0..samples).filter(|&k| {
+        let free = (0..samples).map(|k| {
             let direction = cosine_hemisphere(n, sequence.get(k));
             *rays += 1;
-            !self.transition.before.trees.any_hit(&Ray { origin: point, direction, t_min: 0.0, t_max: f32::INFINITY })
+            let ray = Ray { origin: point, direction, t_min: 0.0, t_max: f32::INFINITY };
+            self.transition.before.trees.transmittance(&ray)
         });
-        free.count() as f32 / samples as f32
+        free.sum::<Vec3>() / samples as f32
     }
+}
+
+/// What something leaves of light along a ray.
+fn left(trees: Option<&Trees>, ray: &Ray, rays: &mut u64) -> Vec3 {
+    trees.map_or(Vec3::ONE, |trees| {
+        *rays += 1;
+        trees.transmittance(ray)
+    })
 }

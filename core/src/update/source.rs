@@ -6,7 +6,7 @@ use std::f32::consts::FRAC_1_PI;
 use glam::Vec3;
 
 use super::extent::Extent;
-use crate::bvh::{Bvh, Hit, Ray};
+use crate::bvh::{Hit, Ray};
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::rounds::Round;
@@ -14,7 +14,7 @@ use crate::sampling::{Mixture, Spheres};
 use crate::solve::Subset;
 use crate::transport::{Spots, Surfel, Work};
 use crate::value::Value;
-use crate::world::{Transition, World};
+use crate::world::{Transition, Trees, World};
 
 /// From this part of the hemisphere on an element gets all samples; less coverage, less to know.
 const FULL_COVERAGE: f32 = 0.15;
@@ -156,18 +156,25 @@ impl<'a> Source<'a> {
     /// What changes along a ray; none where both worlds look the same.
     fn ray_change<V: Value>(&self, ray: &Ray, maps: &Maps<V>, rays: &mut u64) -> Option<RayChange<V>> {
         let t = self.transition;
-        let came = closest(t.come.as_deref(), ray, rays);
-        let went = closest(t.gone.as_deref(), ray, rays);
-        if came.is_none() && went.is_none() {
+        let came = closest(t.come.as_ref(), ray, rays);
+        let went = closest(t.gone.as_ref(), ray, rays);
+        let tint = |trees: Option<&Trees>, t: f32| trees.map_or(Vec3::ONE, |trees| trees.tint(ray, t));
+        let of_changed = |t_after, t_before| (tint(t.come.as_ref(), t_after), tint(t.gone.as_ref(), t_before));
+        if came.is_none() && went.is_none() && of_changed(f32::INFINITY, f32::INFINITY) == (Vec3::ONE, Vec3::ONE) {
             return None;
         }
         *rays += 1;
         let behind = t.common.closest_hit(ray);
         let distance = |h: &Option<Hit>| h.map_or(f32::INFINITY, |h| h.t);
         let (came_t, went_t, behind_t) = (distance(&came), distance(&went), distance(&behind));
-        if behind_t <= came_t && behind_t <= went_t {
+        // How far light comes in each world, and what tinted surfaces on the way leave of it.
+        let (after_t, before_t) = (came_t.min(behind_t), went_t.min(behind_t));
+        let (left_after, left_before) = of_changed(after_t, before_t);
+        if behind_t <= came_t && behind_t <= went_t && left_after == left_before {
             return None;
         }
+        let left_after = left_after * t.common.tint(ray, after_t);
+        let left_before = left_before * t.common.tint(ray, before_t);
         // The static surface as it was, in both worlds: repainted surfaces are a source of their own.
         let unchanged = |hit: &Option<Hit>, rays: &mut u64| look(&t.before, ray, hit.as_ref(), maps.before, rays);
         let after = if came_t < behind_t {
@@ -176,9 +183,9 @@ impl<'a> Source<'a> {
             unchanged(&behind, rays)
         };
         let before = if went_t < behind_t { unchanged(&went, rays) } else { unchanged(&behind, rays) };
-        let sky = |world: &World, hidden: bool| if hidden { V::default() } else { world.emitters.sky() };
+        let sky = |hidden: bool, left: Vec3| if hidden { V::default() } else { t.after.emitters.sky::<V>() * left };
         let free = behind.is_none();
-        let sky = sky(&t.after, !free || came.is_some()) - sky(&t.after, !free || went.is_some());
+        let sky = sky(!free || came.is_some(), left_after) - sky(!free || went.is_some(), left_before);
         // Cells are asked for where they are aimed at, and nowhere else.
         let cell = |hit: Hit| {
             let part = t.after.space.part(hit.triangle);
@@ -189,14 +196,14 @@ impl<'a> Source<'a> {
             Some(_) => [came.filter(|_| came_t < behind_t), behind].map(|hit| hit.map(cell)),
             None => [None; 2],
         };
-        Some(RayChange { sky, reflected: after - before, seen })
+        Some(RayChange { sky, reflected: after * left_after - before * left_before, seen })
     }
 }
 
-fn closest(tree: Option<&Bvh>, ray: &Ray, rays: &mut u64) -> Option<Hit> {
-    tree.and_then(|t| {
+fn closest(trees: Option<&Trees>, ray: &Ray, rays: &mut u64) -> Option<Hit> {
+    trees.and_then(|trees| {
         *rays += 1;
-        t.closest_hit(ray, None)
+        trees.closest_hit(ray)
     })
 }
 

@@ -9,10 +9,11 @@ use glam::{DMat4, Vec3};
 use super::build;
 use super::check::{check_kind, check_strength, check_transform, error, invalid, unknown};
 use super::motion::{is_rigid, move_light, transformed_light};
-use super::{Placed, Transition, Validity, World, WorldError, probe};
+use super::openings::Openings;
+use super::{Placed, Transition, Trees, Validity, World, WorldError, probe};
 use crate::bvh::{BuildQuality, Bvh};
 use crate::edit::{Edit, EditError, EditErrorKind, name_matches};
-use crate::scene::{Light, LightKind, Object, Scene, merge_as_object};
+use crate::scene::{Light, LightKind, Look, Object, Scene, merge_as_object};
 use crate::space::Albedo;
 
 impl World {
@@ -217,6 +218,7 @@ impl Draft {
         let placed = Placed {
             key: old.key,
             surface,
+            see_through: old.see_through.clone(),
             layout: Arc::clone(&old.layout),
             coarse: Arc::clone(&old.coarse),
             placement: old.placement.clone(),
@@ -254,9 +256,19 @@ impl Draft {
     /// Takes the pictures off an object: to its light it is another one in the same place.
     fn paint_over(&mut self, index: usize) -> Result<(), EditError> {
         let mut object = self.world.scene.objects[index].clone();
-        object.looks = Vec::new();
+        let painted = |look: Option<Arc<Look>>| {
+            let look = look.filter(|look| look.may_let_light_through())?;
+            Some(Arc::new(Look { is_painted: true, ..(*look).clone() }))
+        };
+        object.looks = object.looks.into_iter().map(painted).collect();
         if !object.mesh.colors.is_empty() {
-            Arc::make_mut(&mut object.mesh).colors = Vec::new();
+            let mesh = Arc::make_mut(&mut object.mesh);
+            // What goes through stays as it was.
+            if object.looks.iter().any(Option::is_some) {
+                mesh.colors.iter_mut().for_each(|color| *color = Vec3::ONE.extend(color.w));
+            } else {
+                mesh.colors = Vec::new();
+            }
         }
         self.replace_object(index, object)
     }
@@ -303,8 +315,8 @@ impl Draft {
             world.find_behind(Some(&grown), |placed| come.contains(&placed.key));
         }
         let come_trees = world.placed.iter().filter(|p| come.contains(&p.key));
-        let come_tree = merged_tree(come_trees.map(|p| &**p));
-        let gone_tree = merged_tree(gone.values().map(|p| &**p));
+        let come_tree = merged_tree(come_trees.map(|p| &**p), &world.trees.openings);
+        let gone_tree = merged_tree(gone.values().map(|p| &**p), &before.trees.openings);
         let new_rows = new_rows(before, &world, &ranges);
         let came = |slot: &u32| ranges.iter().any(|r| r.contains(slot));
         let filled_rows = new_rows.iter().copied().filter(|slot| !came(slot)).collect();
@@ -322,6 +334,7 @@ impl Draft {
     /// Trees of what came.
     fn build_small_trees(&mut self) {
         self.world.trees.generation += 1;
+        self.note_openings();
         for placed in self.world.placed.iter().filter(|p| self.come.contains(&p.key)) {
             self.world.trees.small.push((placed.key, build::small_tree(placed)));
         }
@@ -348,6 +361,11 @@ impl Draft {
         Ok(())
     }
 
+    /// What lets light through now.
+    fn note_openings(&mut self) {
+        self.world.trees.openings = Openings::of(self.world.placed.iter().map(|placed| &**placed));
+    }
+
     /// Places an object again, with elements on its back.
     fn give_back(&mut self, index: usize, old: &Placed) {
         let ready = build::Ready::again(&self.world, old);
@@ -358,12 +376,14 @@ impl Draft {
         self.world.trees.small.retain(|(key, _)| *key != placed.key);
         self.world.trees.small.push((placed.key, tree));
         self.world.placed[index] = Arc::new(placed);
+        self.note_openings();
     }
 }
 
-fn merged_tree<'a>(objects: impl Iterator<Item = &'a Placed>) -> Option<Arc<Bvh>> {
+/// One tree over some objects of a world that has these openings.
+fn merged_tree<'a>(objects: impl Iterator<Item = &'a Placed>, openings: &Option<Arc<Openings>>) -> Option<Trees> {
     let (corners, ids) = build::corners_of(objects);
-    (!ids.is_empty()).then(|| Arc::new(Bvh::build(&corners, &ids, BuildQuality::Fast)))
+    (!ids.is_empty()).then(|| Trees::of(Bvh::build(&corners, &ids, BuildQuality::Fast), openings.clone(), 0))
 }
 
 /// Rows that get their first value: of objects that came, and of elements that were invalid. Ascending.

@@ -6,12 +6,13 @@ use std::sync::Arc;
 use glam::{DMat4, Vec3};
 use rayon::prelude::*;
 
-use super::emitters::EmissiveTriangle;
+use super::emitters::{Emissive, EmissiveTriangle};
+use super::openings::Openings;
 use super::{Coarse, Emitters, Placed, Resolution, Trees, Validity, World, WorldError, WorldOptions, probe};
 use crate::bvh::{BuildQuality, Bvh};
 use crate::scene::{Object, Scene};
 use crate::space::{Albedo, Albedos, Elements, Layout, Space};
-use crate::surface::{DEFAULT_ELEMENTS, Surface, default_spacing, object_area};
+use crate::surface::{DEFAULT_ELEMENTS, SeeThrough, Surface, default_spacing, object_area};
 
 /// Edge of the cells that smooth light is evaluated in, in units of [`Resolution::smooth`].
 pub(crate) const COARSE_RADIUS: f32 = 2.5;
@@ -73,6 +74,7 @@ pub(super) fn scene_from_object(scene: &Scene, object: &Object) -> DMat4 {
 /// An object that has no slots yet.
 pub(super) struct Ready {
     pub surface: Arc<Surface>,
+    pub see_through: Option<Arc<SeeThrough>>,
     pub layout: Arc<Layout>,
     pub coarse: Arc<Coarse>,
     pub elements: Elements,
@@ -88,18 +90,22 @@ impl Ready {
         options: &WorldOptions,
     ) -> Result<Ready, WorldError> {
         let error = |source| WorldError::Surface { object: object.name.clone(), source };
-        let surface = Surface::build(object, scene_from_object(scene, object)).map_err(error)?;
+        let to_scene = scene_from_object(scene, object);
+        let surface = Surface::build(object, to_scene).map_err(error)?;
+        let see_through = SeeThrough::of(object, &surface, to_scene);
         let (layout, elements) = Layout::new(&surface, resolution.spacing, options.max_elements).map_err(error)?;
         let Elements { positions, normals, areas } = &elements;
         let albedos = Albedos::new(object, &surface, &layout, areas, options.max_albedo);
         let coarse = Coarse::new(positions, normals, areas, COARSE_RADIUS * resolution.smooth);
-        Ok(Ready { surface: Arc::new(surface), layout: Arc::new(layout), coarse: Arc::new(coarse), elements, albedos })
+        let (surface, layout, coarse) = (Arc::new(surface), Arc::new(layout), Arc::new(coarse));
+        Ok(Ready { surface, see_through, layout, coarse, elements, albedos })
     }
 
     /// One that is placed, as it was before it had slots.
     pub(super) fn again(world: &World, placed: &Placed) -> Ready {
         Ready {
             surface: Arc::clone(&placed.surface),
+            see_through: placed.see_through.clone(),
             layout: Arc::clone(&placed.layout),
             coarse: Arc::clone(&placed.coarse),
             elements: world.space.elements_of(&placed.placement, &placed.layout),
@@ -109,11 +115,11 @@ impl Ready {
 
     /// Gives it slots.
     pub(super) fn place(self, space: &mut Space, object: &Object, key: u32, with_back: bool) -> Placed {
-        let Ready { surface, layout, coarse, elements, albedos } = self;
+        let Ready { surface, see_through, layout, coarse, elements, albedos } = self;
         let materials = albedos.of_materials.into_iter().zip(object.materials.iter().map(|m| m.double_sided));
         let placement =
             space.place((&surface, &layout, &elements), albedos.by_place.as_ref(), materials, key, with_back);
-        Placed { key, surface, layout, coarse, placement, with_back }
+        Placed { key, surface, see_through, layout, coarse, placement, with_back }
     }
 }
 
@@ -158,7 +164,8 @@ pub(super) fn small_tree(placed: &Placed) -> Arc<Bvh> {
 
 pub(super) fn big_tree<P: std::borrow::Borrow<Placed>>(placed: &[P], generation: u64) -> Trees {
     let (corners, ids) = corners_of(placed.iter().map(P::borrow));
-    Trees { big: Arc::new(Bvh::build(&corners, &ids, BuildQuality::Good)), gone: None, small: Vec::new(), generation }
+    let openings = Openings::of(placed.iter().map(P::borrow));
+    Trees::of(Bvh::build(&corners, &ids, BuildQuality::Good), openings, generation)
 }
 
 /// Double-sided surfaces whose back is seen get elements there; slots are laid out anew, once.
@@ -192,7 +199,8 @@ impl World {
             let index = self.scene.objects.iter().position(|o| o.name == name)?;
             let (object, placed) = (&self.scene.objects[index], &self.placed[index]);
             let double_sided = object.materials.get(material as usize)?.double_sided;
-            Some((placed.key, emissive_triangles(&placed.surface, material), double_sided))
+            let triangles = emissive_triangles(&placed.surface, material);
+            Some(Emissive { key: placed.key, triangles, double_sided, see_through: placed.see_through.clone() })
         })
     }
 }

@@ -4,8 +4,7 @@ use std::collections::BTreeMap;
 
 use glam::Vec3;
 
-use super::emitters::visible_weight;
-use super::{Placed, World};
+use super::{Placed, World, visible_weight};
 use crate::bvh::Ray;
 use crate::random::Pcg32;
 use crate::sampling::cosine_hemisphere;
@@ -37,7 +36,7 @@ pub(super) fn is_inside(world: &World, slot: u32) -> bool {
         }
         let direction = cosine_hemisphere(n, rng.next_2d());
         let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
-        if let Some(hit) = world.trees.closest_hit(&ray)
+        if let Some(hit) = world.trees.closest_opaque(&ray)
             && hit.normal.dot(direction) > 0.0
         {
             let part = world.space.part(hit.triangle);
@@ -51,7 +50,7 @@ pub(super) fn is_inside(world: &World, slot: u32) -> bool {
 /// Whether some light reaches a point straight.
 fn is_lit(world: &World, point: Vec3, n: Vec3, rng: &mut Pcg32) -> bool {
     world.emitters.list.iter().filter(|emitter| !emitter.is_below_horizon(point, n)).any(|emitter| {
-        (0..LIGHT_SAMPLES).any(|_| visible_weight(emitter, &world.trees, point, n, rng.next_2d(), &mut 0) > 0.0)
+        (0..LIGHT_SAMPLES).any(|_| visible_weight(emitter, &world.trees, point, n, rng.next_2d(), &mut 0) != Vec3::ZERO)
     })
 }
 
@@ -67,7 +66,7 @@ impl World {
     fn free_part(&self, from: u32, to: u32) -> f32 {
         let (origin, end) = (self.above(from), self.above(to));
         let ray = Ray { origin, direction: end - origin, t_min: 0.0, t_max: 1.0 };
-        if origin == end { 1.0 } else { self.trees.closest_hit(&ray).map_or(1.0, |hit| hit.t) }
+        if origin == end { 1.0 } else { self.trees.closest_opaque(&ray).map_or(1.0, |hit| hit.t) }
     }
 }
 

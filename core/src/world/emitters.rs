@@ -1,14 +1,15 @@
 //! Lights as transport samples them: resolved from [`Light`]s into scene space.
 
 use std::f32::consts::FRAC_1_PI;
+use std::sync::Arc;
 
 use glam::Vec3;
 
-use super::Trees;
 use crate::bvh::{Hit, Ray};
 use crate::sampling::{Discrete, SphericalTriangle, uniform_barycentrics};
 use crate::scene::{Light, LightKind};
 use crate::space::ray_offset;
+use crate::surface::{SeeThrough, barycentrics};
 use crate::value::Value;
 
 /// Emitters of at most so many triangles are sampled by the solid angle of all of them from near.
@@ -28,6 +29,18 @@ pub(crate) struct EmissiveTriangle {
     pub normal: Vec3,
     /// m².
     pub area: f32,
+}
+
+/// The emissive triangles of an object's material.
+pub(crate) struct Emissive {
+    /// Key of the object.
+    pub key: u32,
+    /// Ascending by face.
+    pub triangles: Vec<EmissiveTriangle>,
+    /// Both sides emit.
+    pub double_sided: bool,
+    /// What of the object lets light through.
+    pub see_through: Option<Arc<SeeThrough>>,
 }
 
 /// Where a light's rays come from.
@@ -53,6 +66,8 @@ pub(crate) enum Shape {
         largest: f32,
         /// Area of all, m².
         area: f32,
+        /// They let light through, and shine by as much less there.
+        see_through: Option<Arc<SeeThrough>>,
     },
     /// Point or spot: candela; `spot` holds direction, cosines of inner and outer angle.
     Point { position: Vec3, spot: Option<(Vec3, f32, f32)>, range: Option<f32> },
@@ -86,6 +101,8 @@ pub(crate) struct LightSample {
     pub distance: f32,
     /// Contribution to irradiance / π at unit strength, divided by the density of the sample.
     pub weight: f32,
+    /// Share of it that is sent out there: places of a lamp that let light through shine by as much less.
+    pub share: f32,
 }
 
 impl LightSample {
@@ -130,7 +147,7 @@ impl Emitters {
         lights: &[Light],
         origin: glam::DVec3,
         scene_radius: f32,
-        triangles: impl Fn(&str, u32) -> Option<(u32, Vec<EmissiveTriangle>, bool)>,
+        triangles: impl Fn(&str, u32) -> Option<Emissive>,
     ) -> Emitters {
         let mut skies = Vec::new();
         let mut list = Vec::new();
@@ -142,8 +159,9 @@ impl Emitters {
                     continue;
                 }
                 LightKind::Emissive { object, material } => match triangles(object, *material) {
-                    Some((key, triangles, double_sided)) if !triangles.is_empty() => {
-                        (surface(triangles, double_sided), Some(key))
+                    Some(emissive) if !emissive.triangles.is_empty() => {
+                        let key = emissive.key;
+                        (surface(emissive), Some(key))
                     }
                     _ => continue,
                 },
@@ -162,7 +180,7 @@ impl Emitters {
     }
 }
 
-fn surface(triangles: Vec<EmissiveTriangle>, double_sided: bool) -> Shape {
+fn surface(Emissive { triangles, double_sided, see_through, .. }: Emissive) -> Shape {
     let choice = Discrete::new(triangles.iter().map(|t| f64::from(t.area))).unwrap_or_default();
     let corners = || triangles.iter().flat_map(|t| t.corners);
     let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
@@ -174,7 +192,7 @@ fn surface(triangles: Vec<EmissiveTriangle>, double_sided: bool) -> Shape {
     let radius = corners().map(|c| c.distance(center)).fold(0.0, f32::max) * 1.0001;
     let largest = triangles.iter().map(|t| t.area).fold(0.0, f32::max);
     let area = triangles.iter().map(|t| t.area).sum();
-    Shape::Surface { triangles, choice, double_sided, center, radius, low, high, largest, area }
+    Shape::Surface { triangles, choice, double_sided, center, radius, low, high, largest, area, see_through }
 }
 
 /// The specification's window: the inverse square law, ended smoothly at `range`.
@@ -216,8 +234,11 @@ impl Emitter {
     #[inline]
     pub(crate) fn sample(&self, point: Vec3, n: Vec3, u: [f32; 2]) -> Option<LightSample> {
         match &self.shape {
-            Shape::Surface { triangles, choice, double_sided, .. } => {
-                sample_surface(triangles, choice, *double_sided, point, n, u)
+            Shape::Surface { triangles, choice, double_sided, see_through, .. } => {
+                let (sample, triangle) = sample_surface(triangles, choice, *double_sided, point, n, u)?;
+                let Some(see_through) = see_through else { return Some(sample) };
+                let share = triangle.opacity(see_through, point + sample.direction * sample.distance);
+                (share > 0.0).then_some(LightSample { share, ..sample })
             }
             Shape::Point { position, spot, range } => {
                 let w = *position - point;
@@ -233,7 +254,7 @@ impl Emitter {
                     t * t
                 });
                 let weight = cos * cone * attenuation(distance2, *range) * FRAC_1_PI;
-                (weight > 0.0).then_some(LightSample { direction, distance, weight })
+                (weight > 0.0).then_some(LightSample { direction, distance, weight, share: 1.0 })
             }
             Shape::Directional { direction } => {
                 let cos = -n.dot(*direction);
@@ -241,6 +262,7 @@ impl Emitter {
                     direction: -*direction,
                     distance: f32::INFINITY,
                     weight: cos * FRAC_1_PI,
+                    share: 1.0,
                 })
             }
         }
@@ -250,14 +272,14 @@ impl Emitter {
 /// Few triangles that are near together by solid angle; else triangles by area, and the point on one by area from afar
 /// and by solid angle from near, where 1/r² would explode.
 #[inline]
-fn sample_surface(
-    triangles: &[EmissiveTriangle],
+fn sample_surface<'t>(
+    triangles: &'t [EmissiveTriangle],
     choice: &Discrete,
     double_sided: bool,
     point: Vec3,
     n: Vec3,
     [u, v]: [f32; 2],
-) -> Option<LightSample> {
+) -> Option<(LightSample, &'t EmissiveTriangle)> {
     if triangles.len() <= FEW && triangles.iter().any(|t| t.is_near(point)) {
         return sample_few(triangles, double_sided, point, n, [u, v]);
     }
@@ -269,7 +291,8 @@ fn sample_surface(
     }
     if triangle.is_near(point) {
         let spherical = SphericalTriangle::new(point, triangle.corners)?;
-        return triangle.towards(point, n, spherical.sample([u, v]), probability * spherical.pdf());
+        let sample = triangle.towards(point, n, spherical.sample([u, v]), probability * spherical.pdf())?;
+        return Some((sample, triangle));
     }
     let [a, b, c] = triangle.corners;
     let (b1, b2) = uniform_barycentrics([u, v]);
@@ -279,11 +302,8 @@ fn sample_surface(
     let direction = w / distance;
     let cos = n.dot(direction);
     let cos_light = direction.dot(triangle.normal).abs();
-    (cos > 0.0).then_some(LightSample {
-        direction,
-        distance,
-        weight: cos * cos_light * triangle.area / (distance2 * probability) * FRAC_1_PI,
-    })
+    let weight = cos * cos_light * triangle.area / (distance2 * probability) * FRAC_1_PI;
+    (cos > 0.0).then_some((LightSample { direction, distance, weight, share: 1.0 }, triangle))
 }
 
 /// Uniform over the solid angle of all triangles together.
@@ -293,7 +313,7 @@ fn sample_few(
     point: Vec3,
     n: Vec3,
     [u, v]: [f32; 2],
-) -> Option<LightSample> {
+) -> Option<(LightSample, &EmissiveTriangle)> {
     let mut seen = [None; FEW];
     let mut total = 0.0;
     for (slot, triangle) in seen.iter_mut().zip(triangles) {
@@ -314,7 +334,7 @@ fn sample_few(
     }
     let (spherical, triangle, left) = last?;
     let u = ((left / spherical.solid_angle) as f32).clamp(0.0, 0.999_999_94);
-    triangle.towards(point, n, spherical.sample([u, v]), (1.0 / total) as f32)
+    Some((triangle.towards(point, n, spherical.sample([u, v]), (1.0 / total) as f32)?, triangle))
 }
 
 impl Emitter {
@@ -353,6 +373,13 @@ impl EmissiveTriangle {
         ((a + b + c) * (1.0 / 3.0) - point).length_squared() < 8.0 * self.area
     }
 
+    /// How opaque it is at a point on it, as it shines there.
+    #[cold]
+    fn opacity(&self, see_through: &SeeThrough, point: Vec3) -> f32 {
+        let [_, u, v] = barycentrics(point, self.corners);
+        see_through.at(self.face as usize, [u, v]).map_or(1.0, |passage| passage.opacity)
+    }
+
     /// Height of a point over the triangle's plane, m.
     #[inline]
     fn height(&self, point: Vec3) -> f32 {
@@ -374,7 +401,7 @@ impl EmissiveTriangle {
             return None;
         }
         let distance = self.height(point) / slope;
-        (distance > 0.0).then_some(LightSample { direction, distance, weight: cos * FRAC_1_PI / pdf })
+        (distance > 0.0).then_some(LightSample { direction, distance, weight: cos * FRAC_1_PI / pdf, share: 1.0 })
     }
 }
 
@@ -392,20 +419,4 @@ impl Emitter {
             _ => false,
         }
     }
-}
-
-/// Weight of one sample of an emitter, zero where it is hidden.
-#[inline]
-pub(crate) fn visible_weight(
-    emitter: &Emitter,
-    trees: &Trees,
-    point: Vec3,
-    n: Vec3,
-    u: [f32; 2],
-    rays: &mut u64,
-) -> f32 {
-    let Some(sample) = emitter.sample(point, n, u) else { return 0.0 };
-    *rays += 1;
-    let end = sample.end(point);
-    if trees.visible(point, sample.direction, sample.distance, end) { sample.weight } else { 0.0 }
 }

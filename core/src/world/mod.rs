@@ -2,6 +2,7 @@
 //! ([`World::apply`]) and shares with it all that did not change.
 
 mod apply;
+mod arriving;
 mod build;
 mod buried;
 mod check;
@@ -12,6 +13,7 @@ mod emitters;
 mod info;
 mod lights;
 mod motion;
+mod openings;
 mod probe;
 mod same;
 mod sight;
@@ -23,8 +25,9 @@ pub use info::{LightInfo, ObjectInfo};
 pub use transition::Transition;
 pub use trees::Trees;
 
+pub(crate) use arriving::{arriving, visible_weight};
 pub(crate) use coarse::Coarse;
-pub(crate) use emitters::{Emitter, Emitters, Shape, visible_weight};
+pub(crate) use emitters::{Emitter, Emitters, Shape};
 pub(crate) use sight::Hidden;
 pub(crate) use validity::Validity;
 
@@ -37,7 +40,7 @@ use rayon::prelude::*;
 
 use crate::scene::{DEFAULT_MAX_ALBEDO, Scene};
 use crate::space::{Layout, Placement, Space};
-use crate::surface::{Surface, SurfaceError};
+use crate::surface::{SeeThrough, Surface, SurfaceError};
 
 /// Limits and resolution of a world.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -124,6 +127,8 @@ pub(crate) struct Placed {
     pub key: u32,
     /// The triangles of the file, in scene space.
     pub surface: Arc<Surface>,
+    /// Its triangles that let light through, where there are any.
+    pub see_through: Option<Arc<SeeThrough>>,
     /// How its elements are laid out.
     pub layout: Arc<Layout>,
     /// Subset for smooth light, over the front's elements.
@@ -255,9 +260,12 @@ impl World {
         (trees.generation == self.trees.generation).then(|| World { trees, ..self.clone() })
     }
 
-    /// Bytes held by elements, triangles and trees; what is shared with other versions counts here too.
+    /// Bytes held by elements, triangles, trees and textures; what is shared with other versions counts here too.
     pub fn memory_bytes(&self) -> usize {
-        let of_object = |p: &Arc<Placed>| p.surface.memory_bytes() + p.layout.memory_bytes() + p.coarse.memory_bytes();
+        let of_object = |p: &Arc<Placed>| {
+            let see_through = p.see_through.as_ref().map_or(0, |see_through| see_through.memory_bytes());
+            p.surface.memory_bytes() + p.layout.memory_bytes() + p.coarse.memory_bytes() + see_through
+        };
         let objects: usize = self.placed.iter().map(of_object).sum();
         let sight: usize = self.sight.values().map(|hidden| hidden.memory_bytes()).sum();
         let albedos = |p: &Arc<Placed>| -> usize {
@@ -265,7 +273,8 @@ impl World {
             parts.first().and_then(|part| part.albedos.as_ref()).map_or(0, |albedos| size_of_val(&**albedos))
         };
         let objects = objects + self.placed.iter().map(albedos).sum::<usize>();
-        self.space.memory_bytes() + self.trees.memory_bytes() + self.validity.memory_bytes() + sight + objects
+        let space = self.space.memory_bytes() + self.validity.memory_bytes() + sight;
+        space + self.trees.memory_bytes() + objects + self.scene.texture_bytes()
     }
 
     /// Slots whose value is computed, in spatial order within objects.

@@ -69,7 +69,7 @@ impl World {
     }
 
     pub(super) fn is_solid(&self, placed: &Placed) -> bool {
-        if !placed.surface.closed || placed.surface.volume <= 0.0 {
+        if !placed.surface.closed || placed.surface.volume <= 0.0 || placed.see_through.is_some() {
             return false;
         }
         if self.encloses_most(placed) {
@@ -103,7 +103,7 @@ impl World {
     fn may_light_be_behind(&self, placed: &Placed) -> bool {
         let surface = &placed.surface;
         match surface.volume > 0.0 {
-            _ if !surface.closed => true,
+            _ if !surface.closed || placed.see_through.is_some() => true,
             true => self.has_lamp_inside(placed),
             false => !self.encloses_most(placed),
         }

@@ -52,6 +52,7 @@ impl World {
             && a.with_back == b.with_back
             && materials == other_materials
             && parts().all(|(a, b)| a.reflects_like(b))
+            && a.see_through == b.see_through
             && self.has_surface_of(a, b)
             && self.has_elements_of(a, other, b)
     }

@@ -120,7 +120,7 @@ impl World {
 
     fn blocked(&self, from: Vec3, to: Vec3) -> bool {
         let ray = Ray { origin: from, direction: to - from, t_min: ENDS, t_max: 1.0 - ENDS };
-        from != to && self.trees.any_hit(&ray)
+        from != to && self.trees.any_hiding(&ray)
     }
 }
 

@@ -7,7 +7,6 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::{Placed, Trees, World, build};
-use crate::bvh::Bvh;
 use crate::lightmap::{Layer, LightMap};
 use crate::space::{NO_OBJECT, Part};
 
@@ -24,9 +23,9 @@ pub struct Transition {
     /// What stands in both worlds.
     pub(crate) common: Trees,
     /// What stood only in `before`; ids are triangle slots of `before`.
-    pub(crate) gone: Option<Arc<Bvh>>,
+    pub(crate) gone: Option<Trees>,
     /// What stands only in `after`; ids are triangle slots of `after`.
-    pub(crate) come: Option<Arc<Bvh>>,
+    pub(crate) come: Option<Trees>,
     /// Elements without an old value that is worth anything: of inserted and moved objects, and those that were invalid
     /// (inside a solid or behind a surface) and are so no more. Valid ones only, ascending.
     pub(crate) new_rows: Vec<u32>,

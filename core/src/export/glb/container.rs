@@ -37,7 +37,7 @@ pub(super) struct Document {
     pub(super) lights: Vec<Value>,
     pub(super) has_emissive_strength: bool,
     /// Numbers of a material (as bits) and whether it is double-sided, to its index.
-    pub(super) material_indices: BTreeMap<([u32; 7], bool), Value>,
+    pub(super) material_indices: BTreeMap<([u32; 8], bool), Value>,
 }
 
 impl Document {

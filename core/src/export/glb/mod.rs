@@ -33,6 +33,8 @@ pub struct MeshExport<'a> {
     pub triangle_materials: &'a [u32],
     /// Albedo and sides; `emission` is the radiance in force.
     pub materials: &'a [Material],
+    /// Per material: mean share of light that does not go through, 0..=1; empty where all are opaque.
+    pub opacities: &'a [f32],
 }
 
 /// Writes meshes with their light map as float `COLOR_0`: shown without further light, `baseColorFactor × COLOR_0`
@@ -58,11 +60,13 @@ pub fn write_glb(meshes: &[MeshExport<'_>], origin: DVec3) -> Result<Vec<u8>, Ex
         }
         let mut primitives = Vec::with_capacity(by_material.len());
         for (material, triangles) in by_material {
+            let opacity = mesh.opacities.get(material as usize).copied().unwrap_or(1.0);
             let material = &mesh.materials[material as usize];
+            let emission = emission_parts(material.emission);
             primitives.push(object([
                 ("attributes", attributes.clone()),
                 ("indices", document.add_indices(&triangles)),
-                ("material", add_material(&mut document, material, emission_parts(material.emission))),
+                ("material", add_material(&mut document, material, opacity, emission)),
             ]));
         }
         let json = object([("name", mesh.name.into()), ("primitives", primitives.into())]);
@@ -98,15 +102,18 @@ fn emission_parts(emission: Vec3) -> (Vec3, f32) {
     if strength <= 1.0 { (emission, 1.0) } else { (emission / strength, strength) }
 }
 
-/// Adds a diffuse material that emits `color × strength`.
-fn add_material(document: &mut Document, material: &Material, (color, strength): (Vec3, f32)) -> Value {
+/// Adds a diffuse material that emits `color × strength`. Of what lets light through the mean alone is written, as alpha.
+fn add_material(document: &mut Document, material: &Material, opacity: f32, (color, strength): (Vec3, f32)) -> Value {
     let [r, g, b] = material.albedo.to_array();
     let pbr = object([
-        ("baseColorFactor", numbers([r, g, b, 1.0])),
+        ("baseColorFactor", numbers([r, g, b, opacity])),
         ("metallicFactor", 0.into()),
         ("roughnessFactor", 1.into()),
     ]);
     let mut json = vec![("pbrMetallicRoughness", pbr)];
+    if opacity < 1.0 {
+        json.push(("alphaMode", "BLEND".into()));
+    }
     if material.double_sided {
         json.push(("doubleSided", true.into()));
     }
@@ -120,7 +127,7 @@ fn add_material(document: &mut Document, material: &Material, (color, strength):
     }
     // Objects share few materials; a file with thousands of equal ones is slow to open elsewhere.
     let [er, eg, eb] = color.to_array();
-    let key = ([r, g, b, er, eg, eb, strength].map(f32::to_bits), material.double_sided);
+    let key = ([r, g, b, opacity, er, eg, eb, strength].map(f32::to_bits), material.double_sided);
     let materials = &mut document.materials;
     document.material_indices.entry(key).or_insert_with(|| push(materials, object(json))).clone()
 }

@@ -87,11 +87,12 @@ fn add_mesh(
         }
         let light = emission.get(&(item.name.as_str(), material));
         let parts = light.map_or((Vec3::ZERO, 1.0), |light| light_parts(light));
+        let opacity = item.mean_opacity(material as usize);
         let material = item.materials.get(material as usize).ok_or_else(lists)?;
         primitives.push(object([
             ("attributes", object(attributes)),
             ("indices", document.add_indices(&triangles)),
-            ("material", add_material(document, material, parts)),
+            ("material", add_material(document, material, opacity, parts)),
         ]));
     }
     let json = object([("name", item.name.as_str().into()), ("primitives", primitives.into())]);

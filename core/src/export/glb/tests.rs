@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{DMat4, DQuat, DVec3, Vec3};
 
 use super::*;
-use crate::scene::{Camera, Light, LightKind, LoadLimits, Mesh, Object, Scene, load};
+use crate::scene::{AlphaMode, Camera, Light, LightKind, LoadLimits, Look, Mesh, Object, Scene, load};
 
 /// Numbers in 0..1 that repeat (SplitMix64).
 struct Random(u64);
@@ -161,6 +161,7 @@ fn export<'a>(mesh: &'a Mesh, colors: &'a [Vec3], materials: &'a [Material]) -> 
         triangles: &mesh.triangles,
         triangle_materials: &mesh.triangle_materials,
         materials,
+        opacities: &[],
     }
 }
 
@@ -196,4 +197,16 @@ fn lists_that_do_not_fit_are_refused() {
     for (index, mesh) in bad.iter().enumerate() {
         assert!(write_glb(&[*mesh], DVec3::ZERO).is_err(), "case {index}");
     }
+}
+
+/// Of what lets light through the mean is written.
+#[test]
+fn panes_are_written_with_their_mean_opacity() {
+    let mut pane = Object::new("Pane", Mesh::quad(Vec3::ZERO, Vec3::X, Vec3::Y), Material::diffuse(Vec3::splat(0.5)));
+    let look = Look { alpha: 0.8, alpha_mode: AlphaMode::Blend, transmission: 0.5, ..Look::plain(Vec3::splat(0.5)) };
+    pane.looks = vec![Some(Arc::new(look))];
+    let file = write_scene_glb(&Scene::from_objects(vec![pane])).unwrap();
+    let read = load(&file, &LoadLimits::default()).unwrap();
+    let look = read.objects[0].looks[0].as_ref().unwrap();
+    assert_eq!((look.alpha_mode, look.alpha), (AlphaMode::Blend, 0.4));
 }

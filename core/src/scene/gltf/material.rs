@@ -23,8 +23,8 @@ pub(super) struct LoadedMaterial {
     pub(super) emission_color: Vec3,
     /// `KHR_materials_emissive_strength`.
     pub(super) emission_intensity: f32,
-    /// Transparent: triangles of this material neither block nor reflect and are left out.
-    pub(super) is_transparent: bool,
+    /// All light goes through everywhere: triangles of this material are left out.
+    pub(super) is_clear: bool,
 }
 
 /// Materials of a file, read when a primitive first uses them.
@@ -33,6 +33,8 @@ pub(super) struct Materials<'f> {
     file: &'f File<'f>,
     textures: Textures<'f>,
     max_albedo: f32,
+    /// Per material: some primitive of it has vertex colours with alpha.
+    has_vertex_alpha: Vec<bool>,
     read: Vec<Option<LoadedMaterial>>,
 }
 
@@ -42,8 +44,6 @@ const MID_GREY: f32 = 0.5;
 const ROUNDING: f32 = 1e-3;
 /// Largest strength of a light: as edits have it.
 const MAX_STRENGTH: f32 = 1e12;
-/// Transmission from which on a surface counts as not there.
-const CLEAR: f32 = 0.5;
 
 impl LoadedMaterial {
     /// Whether a texture of it reads a set of texture coordinates.
@@ -82,7 +82,8 @@ impl LoadedMaterial {
 impl<'f> Materials<'f> {
     pub(super) fn new(file: &'f File<'f>, limits: &LoadLimits) -> Self {
         let textures = Textures::new(file, limits);
-        Self { file, textures, max_albedo: limits.max_albedo, read: vec![None; file.root.materials.len()] }
+        let read = vec![None; file.root.materials.len()];
+        Self { file, textures, max_albedo: limits.max_albedo, has_vertex_alpha: vertex_alpha(&file.root), read }
     }
 
     /// The material of a primitive; the specification's default (white) where it has none.
@@ -99,7 +100,7 @@ impl<'f> Materials<'f> {
                 look: None,
                 emission_color: Vec3::ZERO,
                 emission_intensity: 1.0,
-                is_transparent: false,
+                is_clear: false,
             });
         };
         let index = index.value();
@@ -115,18 +116,14 @@ impl<'f> Materials<'f> {
         let missing = || malformed(&format!("material {index}"), "does not exist");
         let json = self.file.root.materials.get(index).ok_or_else(missing)?;
         let place = format!("material {index} \"{}\"", json.name.as_deref().unwrap_or_default());
-        let base = self.base(json, &place, warnings)?;
-        let transmission = transmission(json, &place)?;
+        let mut look = self.base(index, json, &place, warnings)?;
+        read_transmission(json, &mut look, &place, warnings)?;
         let (mut color, mut intensity) = emission(json, &place)?;
         let mut factor = color * intensity;
-        let is_clear = base.is_transparent() || transmission >= CLEAR;
+        let is_clear = look.is_clear();
         let mut emissive = None;
         if is_clear {
-            let text = match base.alpha_mode {
-                AlphaMode::Blend => "transparent materials (alphaMode BLEND) neither block nor reflect light",
-                _ => "transmissive materials (KHR_materials_transmission) let all light through",
-            };
-            warnings.add(text, &place);
+            warnings.add("materials that let all light through are left out", &place);
             color = Vec3::ZERO;
         } else if let Some(info) = json.emissive_texture.as_ref().filter(|_| color != Vec3::ZERO) {
             emissive = self.textures.get(info, AlphaUse::Ignored, "emissive", &place, warnings)?;
@@ -144,31 +141,23 @@ impl<'f> Materials<'f> {
         if color == Vec3::ZERO {
             intensity = 1.0;
         }
-        let mean = base.texture.as_ref().map_or(base.missing, |texture| texture.texture.mean().color);
-        let by_place = Look {
-            factor: base.factor * base.missing,
-            alpha: base.alpha,
-            alpha_mode: base.alpha_mode,
-            base_color: base.texture,
-            emission: factor,
-            emissive,
-            transmission,
-        };
-        let albedo = self.checked(base.factor * mean, &place, warnings);
-        let look = by_place.varies().then(|| Arc::new(by_place));
+        let mean = look.base_color.as_ref().map_or(Vec3::ONE, |texture| texture.texture.mean().color);
+        let look = Look { emission: factor, emissive, ..look };
+        let albedo = self.checked(look.factor * mean, &place, warnings);
+        let look = look.varies().then(|| Arc::new(look));
         let emission = color * intensity;
         let material = Material { albedo, emission, double_sided: json.double_sided };
-        Ok(LoadedMaterial {
-            material,
-            look,
-            emission_color: color,
-            emission_intensity: intensity,
-            is_transparent: is_clear,
-        })
+        Ok(LoadedMaterial { material, look, emission_color: color, emission_intensity: intensity, is_clear })
     }
 
     /// Base colour and alpha.
-    fn base(&mut self, json: &json::Material, place: &str, warnings: &mut Warnings) -> Result<Base, LoadError> {
+    fn base(
+        &mut self,
+        index: usize,
+        json: &json::Material,
+        place: &str,
+        warnings: &mut Warnings,
+    ) -> Result<Look, LoadError> {
         let pbr = &json.pbr_metallic_roughness;
         let other = json.extensions.as_ref().and_then(|e| e.pbr_specular_glossiness.as_ref());
         let (factor, info) = match other {
@@ -181,37 +170,40 @@ impl<'f> Materials<'f> {
         }
         let factor = within_bounds(Vec4::from_array(factor), place, warnings)?;
         let cutoff = json.alpha_cutoff.map_or(0.5, |cutoff| cutoff.0);
+        if !cutoff.is_finite() {
+            return Err(malformed(place, &format!("its alphaCutoff is {cutoff}, it must be a finite number")));
+        }
         let (alpha_mode, alpha_use) = match json.alpha_mode {
             Checked::Valid(json::material::AlphaMode::Opaque) => (AlphaMode::Opaque, AlphaUse::Ignored),
+            // No alpha is below it.
+            Checked::Valid(json::material::AlphaMode::Mask) if cutoff <= 0.0 => (AlphaMode::Opaque, AlphaUse::Ignored),
             Checked::Valid(json::material::AlphaMode::Mask) => {
                 // A texel counts where its alpha times the factor is not below the cut-off.
                 let of_texel = if factor.w > 0.0 { (cutoff / factor.w).clamp(0.0, 2.0) } else { 2.0 };
-                (AlphaMode::Mask(cutoff), AlphaUse::Cutoff(of_texel))
+                let is_colored = self.has_vertex_alpha[index];
+                (AlphaMode::Mask(cutoff), if is_colored { AlphaUse::Blend } else { AlphaUse::Cutoff(of_texel) })
             }
             Checked::Valid(json::material::AlphaMode::Blend) => (AlphaMode::Blend, AlphaUse::Blend),
             Checked::Invalid => return Err(malformed(place, "its alphaMode is unknown")),
         };
-        if matches!(alpha_mode, AlphaMode::Mask(_)) {
-            warnings.add("masked materials (alphaMode MASK) are taken as opaque", place);
-        }
         if pbr.metallic_factor.0 > 0.0 && other.is_none() {
             warnings.add("metallic materials are taken as diffuse ones of the same base colour", place);
         }
-        let mut base =
-            Base { factor: factor.truncate(), alpha: factor.w, alpha_mode, texture: None, missing: Vec3::ONE };
+        let mut look = Look { alpha: factor.w, alpha_mode, ..Look::plain(factor.truncate()) };
         if let Some(info) = info {
-            base.texture = self.textures.get(info, alpha_use, "base colour", place, warnings)?;
-            match base.texture {
+            look.base_color = self.textures.get(info, alpha_use, "base colour", place, warnings)?;
+            match look.base_color {
                 Some(_) => warnings.add("base colour textures count with their mean colour over each element", place),
-                None => base.missing = Vec3::splat(MID_GREY),
+                None => look.factor *= MID_GREY,
             }
         }
         // Written by many exporters for what is opaque all over.
-        let is_seen_through = base.texture.as_ref().is_some_and(|texture| texture.texture.is_transparent());
-        if base.alpha_mode == AlphaMode::Blend && base.alpha >= 1.0 && !is_seen_through {
-            base.alpha_mode = AlphaMode::Opaque;
+        let is_seen_through = look.base_color.as_ref().is_some_and(|texture| texture.texture.is_transparent());
+        let is_full = look.alpha >= 1.0 && !is_seen_through && !self.has_vertex_alpha[index];
+        if look.alpha_mode == AlphaMode::Blend && is_full {
+            look.alpha_mode = AlphaMode::Opaque;
         }
-        Ok(base)
+        Ok(look)
     }
 
     /// The albedo within bounds, and a warning where light meets less than it says.
@@ -227,23 +219,6 @@ impl<'f> Materials<'f> {
     }
 }
 
-/// Base colour of a material.
-struct Base {
-    factor: Vec3,
-    alpha: f32,
-    alpha_mode: AlphaMode,
-    texture: Option<TextureUse>,
-    /// Stands for a texture that is not there; else 1.
-    missing: Vec3,
-}
-
-impl Base {
-    /// Taken as not there.
-    fn is_transparent(&self) -> bool {
-        self.alpha_mode == AlphaMode::Blend
-    }
-}
-
 /// Factors within 0..=1; what lies outside by rounding is mended.
 fn within_bounds(factor: Vec4, place: &str, warnings: &mut Warnings) -> Result<Vec4, LoadError> {
     let mended = factor.clamp(Vec4::ZERO, Vec4::ONE);
@@ -256,13 +231,55 @@ fn within_bounds(factor: Vec4, place: &str, warnings: &mut Warnings) -> Result<V
     Ok(mended)
 }
 
-fn transmission(json: &json::Material, place: &str) -> Result<f32, LoadError> {
-    let extension = json.extensions.as_ref().and_then(|extensions| extensions.transmission.as_ref());
-    let factor = extension.map_or(0.0, |transmission| transmission.transmission_factor.0);
-    if factor.is_finite() {
-        return Ok(factor.clamp(0.0, 1.0));
+/// Per material: whether some primitive of it has vertex colours with alpha.
+fn vertex_alpha(root: &json::Root) -> Vec<bool> {
+    let mut found = vec![false; root.materials.len()];
+    for primitive in root.meshes.iter().flat_map(|mesh| &mesh.primitives) {
+        let colors = primitive.attributes.get(&Checked::Valid(json::mesh::Semantic::Colors(0)));
+        let colors = colors.and_then(|colors| root.get(*colors));
+        let has_alpha = colors.is_some_and(|colors| colors.type_ == Checked::Valid(json::accessor::Type::Vec4));
+        let material = primitive.material.and_then(|index| found.get_mut(index.value()));
+        material.filter(|_| has_alpha).into_iter().for_each(|found| *found = true);
     }
-    Err(malformed(place, &format!("its transmissionFactor is {factor}, it must be within 0 and 1")))
+    found
+}
+
+/// What goes through, and what a volume takes of it.
+fn read_transmission(
+    json: &json::Material,
+    look: &mut Look,
+    place: &str,
+    warnings: &mut Warnings,
+) -> Result<(), LoadError> {
+    let Some(extensions) = &json.extensions else { return Ok(()) };
+    let Some(transmission) = &extensions.transmission else { return Ok(()) };
+    let within = |value: f32, name: &str, most: f32| {
+        let problem = || malformed(place, &format!("its {name} is {value}, it must be within 0 and {most}"));
+        if value.is_finite() { Ok(value.clamp(0.0, most)) } else { Err(problem()) }
+    };
+    look.transmission = within(transmission.transmission_factor.0, "transmissionFactor", 1.0)?;
+    if look.transmission == 0.0 {
+        return Ok(());
+    }
+    warnings.add("transmissive materials (KHR_materials_transmission) let light through without bending it", place);
+    if transmission.transmission_texture.is_some() {
+        warnings.add("transmission textures are not read: the factor counts all over", place);
+    }
+    let Some(volume) = &extensions.volume else { return Ok(()) };
+    look.thickness = within(volume.thickness_factor.0, "thicknessFactor", f32::MAX)?;
+    if volume.thickness_texture.is_some() {
+        warnings.add("thickness textures are not read: the factor counts all over", place);
+    }
+    let distance = volume.attenuation_distance.0;
+    let color = Vec3::from_array(volume.attenuation_color.0);
+    if !color.is_finite() || distance.is_nan() {
+        return Err(malformed(place, "its attenuation is not a number"));
+    }
+    if distance > 0.0 && distance.is_finite() {
+        // Of black some 1e-9 is left.
+        look.absorption = -color.clamp(Vec3::splat(1e-9), Vec3::ONE).ln() / distance;
+    }
+    Ok(())
 }
 
 /// Emissive factor and strength.

@@ -110,7 +110,7 @@ impl<'f> Meshes<'f> {
             Checked::Invalid => return Err(malformed(place.name, "its mode is unknown")),
         };
         let material = materials.get(primitive.material, warnings)?;
-        if material.is_transparent {
+        if material.is_clear {
             return Ok(());
         }
         let has =

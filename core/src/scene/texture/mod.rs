@@ -120,6 +120,12 @@ impl Texture {
         TextureMean::of(self.levels[0].at(uv.as_dvec2(), wrap).as_dvec4())
     }
 
+    /// Whether holes are known to the texel: of textures made for [`AlphaUse::Cutoff`].
+    #[inline]
+    pub fn has_mask(&self) -> bool {
+        self.mask.is_some()
+    }
+
     /// Whether there is no hole at a place: exact to the texel. True everywhere for textures that are no cut-outs.
     pub fn is_solid_at(&self, uv: Vec2, wrap: [Wrap; 2]) -> bool {
         self.mask.as_ref().is_none_or(|mask| mask.is_set(uv, wrap))

@@ -29,11 +29,11 @@ const MENDED: &[(&str, &str, &str)] = &[
     (
         "\"doubleSided\": true",
         "\"extensions\": {\"KHR_materials_transmission\": {\"transmissionFactor\": 1}}",
-        "no triangle",
+        "without bending",
     ),
     (
         "\"doubleSided\": true",
-        "\"alphaMode\": \"BLEND\", \"pbrMetallicRoughness\": {\"baseColorFactor\": [1, 1, 1, 0.5]}",
+        "\"alphaMode\": \"BLEND\", \"pbrMetallicRoughness\": {\"baseColorFactor\": [1, 1, 1, 0]}",
         "no triangle",
     ),
     ("\"mode\": 4", "\"mode\": 1", "points and lines"),

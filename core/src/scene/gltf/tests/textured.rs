@@ -175,3 +175,60 @@ fn vertex_colours_are_kept() {
     let scene = load(&edited(&[("\"NORMAL\": 1}", "\"NORMAL\": 1, \"COLOR_0\": 1}")])).unwrap();
     assert_eq!(scene.objects[0].mesh.colors, [glam::Vec4::new(0.0, 0.0, 1.0, 1.0); 4]);
 }
+
+/// Left half clear, right half opaque.
+fn cut_out() -> Vec<u8> {
+    let mut bytes = Cursor::new(Vec::new());
+    let picture = image::RgbaImage::from_fn(16, 8, |x, _| image::Rgba([255, 0, 0, if x < 8 { 102 } else { 255 }]));
+    picture.write_to(&mut bytes, ImageFormat::Png).unwrap();
+    bytes.into_inner()
+}
+
+/// What the first object's look says of its surface, and opacity on the left and on the right.
+fn opacities(edits: &[(&str, &str)]) -> (AlphaMode, [f32; 2]) {
+    let scene = load(&textured(&cut_out(), edits)).unwrap();
+    let look = scene.objects[0].looks[0].as_ref().unwrap();
+    let at = |u| look.passage(Vec2::new(u, 0.5), glam::Vec4::ONE, Vec3::ONE).opacity;
+    assert!(
+        !scene.warnings.iter().any(|text| text.contains("opaque") || text.contains("MASK")),
+        "{:?}",
+        scene.warnings
+    );
+    (look.alpha_mode, [at(0.2), at(0.8)])
+}
+
+#[test]
+fn alpha_is_read_by_mode_and_cut_off() {
+    let of = |mode: &str| opacities(&[("\"doubleSided\": true", mode)]);
+    assert_eq!(of("\"alphaMode\": \"MASK\""), (AlphaMode::Mask(0.5), [0.0, 1.0]));
+    assert_eq!(of("\"alphaMode\": \"MASK\", \"alphaCutoff\": 0.4"), (AlphaMode::Mask(0.4), [1.0, 1.0]));
+    // Nothing of it is there.
+    let hole = ("\"doubleSided\": true", "\"alphaMode\": \"MASK\", \"alphaCutoff\": 1.5");
+    let hole = load(&textured(&cut_out(), &[hole])).unwrap();
+    assert!(hole.objects[0].mesh.triangles.is_empty() && hole.lights.len() == 1, "{:?}", hole.lights);
+    assert_eq!(of("\"alphaMode\": \"MASK\", \"alphaCutoff\": 0"), (AlphaMode::Opaque, [1.0, 1.0]));
+    assert_eq!(of("\"alphaMode\": \"OPAQUE\""), (AlphaMode::Opaque, [1.0, 1.0]));
+    let (mode, [left, right]) = of("\"alphaMode\": \"BLEND\"");
+    assert!(mode == AlphaMode::Blend && (left - 0.4).abs() < 1e-4 && right == 1.0, "{left} and {right}");
+    // The factor counts, too.
+    let half = ("[0.5, 0.25, 0.125, 1]", "[0.5, 0.25, 0.125, 0.5]");
+    let mask = ("\"doubleSided\": true", "\"alphaMode\": \"MASK\", \"alphaCutoff\": 0.3");
+    assert_eq!(opacities(&[half, mask]).1, [0.0, 1.0]);
+    let (_, [left, right]) = opacities(&[half, ("\"doubleSided\": true", "\"alphaMode\": \"BLEND\"")]);
+    assert!((left - 0.2).abs() < 1e-4 && (right - 0.5).abs() < 1e-4, "{left} and {right}");
+}
+
+#[test]
+fn glass_is_read_with_its_volume() {
+    let glass = "\"extensions\": {\"KHR_materials_transmission\": {\"transmissionFactor\": 0.75}, \"KHR_materials_volume\": \
+                 {\"thicknessFactor\": 0.5, \"attenuationDistance\": 2, \"attenuationColor\": [1, 0.5, 0.25]}}";
+    let strength = ",\n    \"extensions\": {\"KHR_materials_emissive_strength\": {\"emissiveStrength\": 3}}";
+    let scene = load(&edited(&[("\"doubleSided\": true", glass), (strength, "")])).unwrap();
+    let look = scene.objects[0].looks[0].as_ref().unwrap();
+    assert_eq!((look.transmission, look.thickness), (0.75, 0.5));
+    let left = (-look.absorption * 2.0).exp();
+    assert!(left.distance(Vec3::new(1.0, 0.5, 0.25)) < 1e-5, "{left}");
+    let passage = look.passage(Vec2::ZERO, glam::Vec4::ONE, left);
+    assert!((passage.transmittance() - 0.75 * Vec3::new(0.5, 0.125, 0.03125)).abs().max_element() < 1e-5);
+    assert_eq!(passage.opacity, 0.25);
+}
