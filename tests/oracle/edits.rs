@@ -21,7 +21,7 @@ const BIAS: [f64; 2] = [3e-3, 15e-3];
 
 /// Compares the update with a bake of the edited world: over everything, over the object, near it, and channel by
 /// channel, direct and indirect apart.
-fn check(name: &str, before: &World, edits: &[Edit], near: Vec3) {
+pub(super) fn check(name: &str, before: &World, edits: &[Edit], near: Vec3) {
     let transition = before.apply(edits).unwrap_or_else(|e| panic!("{name}: {e}"));
     let after = &transition.after;
     let baked: Vec<Arc<LightMap>> =

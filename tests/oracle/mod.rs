@@ -11,6 +11,7 @@ mod paper;
 mod path;
 mod plates;
 mod scenes;
+mod skies;
 mod stated;
 mod statistics;
 mod tiles;

@@ -110,7 +110,7 @@ impl ObjectScene<'_> {
         let sent = self.follow(*ray, Some(hit), field, rng, rays);
         let (hidden, sky) = match behind {
             Some(behind) => (self.radiance(ray, &behind, field, rng, rays), Vec3::ZERO),
-            None => (Vec3::ZERO, self.with.emitters.environment),
+            None => (Vec3::ZERO, self.with.emitters.sky(ray.direction)),
         };
         Some((sent - hidden, -sky))
     }
@@ -152,7 +152,7 @@ impl ObjectScene<'_> {
             let Some(hit) = hit else {
                 // The background at the first hit is direct light, which is counted elsewhere.
                 if depth > 0 && lit {
-                    radiance += beta * self.with.emitters.environment;
+                    radiance += beta * self.with.emitters.sky::<Vec3>(ray.direction);
                 }
                 break;
             };

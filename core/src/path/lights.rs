@@ -13,7 +13,7 @@ use crate::bvh::{Hit, Ray};
 use crate::random::{Pcg32, R2};
 use crate::scene::LightKind;
 use crate::transport::DirectLight;
-use crate::world::{Emitter, Placed, Shape, World, visible_weight};
+use crate::world::{Emitter, Placed, Shape, World, visible_sample};
 
 const NONE: u32 = u32::MAX;
 
@@ -59,9 +59,9 @@ impl<'a> Lights<'a> {
             }
             let sequence = R2::new(rng);
             for k in 0..count {
-                let w = visible_weight(emitter, &world.trees, point, n, sequence.get(k), rays);
-                let cosine_samples = if emitter.is_delta() { 0.0 } else { self.cosine_samples };
-                sum += emitter.strength * (w / (count as f32 + cosine_samples * w));
+                let cosine_samples = if emitter.is_surface() { self.cosine_samples } else { 0.0 };
+                let samples = (count as f32, cosine_samples);
+                sum += shared(emitter, world, (point, n), sequence.get(k), samples, rays);
             }
         }
         sum
@@ -83,9 +83,8 @@ impl<'a> Lights<'a> {
         let world = self.world;
         let Some((index, probability)) = world.emitters.choose(point, n, rng.next_f32()) else { return Vec3::ZERO };
         let emitter = &world.emitters.list[index];
-        let w = visible_weight(emitter, &world.trees, point, n, rng.next_2d(), rays);
-        let cosine_samples = if emitter.is_delta() { 0.0 } else { 1.0 };
-        emitter.strength * (w / (probability + cosine_samples * w))
+        let cosine_samples = if emitter.is_surface() { 1.0 } else { 0.0 };
+        shared(emitter, world, (point, n), rng.next_2d(), (probability, cosine_samples), rays)
     }
 
     /// Radiance of a light that a cosine ray of a path met, its share beside [`Lights::sampled`].
@@ -113,6 +112,22 @@ impl<'a> Lights<'a> {
         let part = if pdf > 0.0 { share(index, n.dot(ray.direction) * FRAC_1_PI / pdf) } else { 1.0 };
         emitter.strength * part
     }
+}
+
+/// One sample of a light: its share of the balance heuristic beside other samples of it and cosine samples, which find
+/// surfaces only.
+#[inline]
+fn shared(
+    emitter: &Emitter,
+    world: &World,
+    (point, n): (Vec3, Vec3),
+    u: [f32; 2],
+    (samples, cosine_samples): (f32, f32),
+    rays: &mut u64,
+) -> Vec3 {
+    let Some(sample) = visible_sample(emitter, &world.trees, point, n, u, rays) else { return Vec3::ZERO };
+    let w = sample.weight;
+    emitter.strength * emitter.tint(sample.direction) * (w / (samples + cosine_samples * w))
 }
 
 /// The object of an emissive surface and the index of its material.

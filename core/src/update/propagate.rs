@@ -55,7 +55,7 @@ impl<V: Value> Change<'_, V> {
                 self.radiance(bounces, slot, s, near)
             },
             looked_up: &self.seen_by_old,
-            sky: V::default(),
+            skies: &[],
             spots,
         }
     }

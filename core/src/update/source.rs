@@ -93,7 +93,7 @@ impl<'a> Source<'a> {
         let (far_sky, far) = self.gather(&extent.representatives, maps, samples, seed, work)?;
         extent.add(subset, &fine, &far, indirect);
         let (before, after) = (&self.transition.before.emitters, &self.transition.after.emitters);
-        if before.environment != Vec3::ZERO || after.environment != Vec3::ZERO {
+        if before.has_sky() || after.has_sky() {
             extent.add(subset, &fine_sky, &far_sky, direct);
         }
         Ok(())
@@ -175,7 +175,7 @@ impl<'a> Source<'a> {
             unchanged(&behind, rays)
         };
         let before = if went_t < behind_t { unchanged(&went, rays) } else { unchanged(&behind, rays) };
-        let sky = |world: &World, hidden: bool| if hidden { V::default() } else { world.emitters.sky() };
+        let sky = |world: &World, hidden: bool| if hidden { V::default() } else { world.emitters.sky(ray.direction) };
         let free = behind.is_none();
         let sky = sky(&t.after, !free || came.is_some()) - sky(&t.after, !free || went.is_some());
         // Cells are asked for where they are aimed at, and nowhere else.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use glam::Vec3;
 
-use super::emitters::visible_weight;
+use super::emitters::visible_sample;
 use super::{Placed, World};
 use crate::bvh::Ray;
 use crate::random::Pcg32;
@@ -51,7 +51,7 @@ pub(super) fn is_inside(world: &World, slot: u32) -> bool {
 /// Whether some light reaches a point straight.
 fn is_lit(world: &World, point: Vec3, n: Vec3, rng: &mut Pcg32) -> bool {
     world.emitters.list.iter().filter(|emitter| !emitter.is_below_horizon(point, n)).any(|emitter| {
-        (0..LIGHT_SAMPLES).any(|_| visible_weight(emitter, &world.trees, point, n, rng.next_2d(), &mut 0) > 0.0)
+        (0..LIGHT_SAMPLES).any(|_| visible_sample(emitter, &world.trees, point, n, rng.next_2d(), &mut 0).is_some())
     })
 }
 

@@ -95,6 +95,6 @@ fn kind_name(kind: &LightKind) -> &'static str {
         LightKind::Point { .. } => "point",
         LightKind::Spot { .. } => "spot",
         LightKind::Directional { .. } => "directional",
-        LightKind::Environment => "environment",
+        LightKind::Environment | LightKind::Sky { .. } => "environment",
     }
 }

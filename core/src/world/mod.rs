@@ -24,7 +24,7 @@ pub use transition::Transition;
 pub use trees::Trees;
 
 pub(crate) use coarse::Coarse;
-pub(crate) use emitters::{Emitter, Emitters, Shape, visible_weight};
+pub(crate) use emitters::{Emitter, Emitters, Shape, sky, visible_light, visible_sample};
 pub(crate) use sight::Hidden;
 pub(crate) use validity::Validity;
 

@@ -93,7 +93,7 @@ mod tests {
     use jiff::Timestamp;
 
     use super::super::Store;
-    use super::super::records::{JobRecord, SceneRecord};
+    use super::super::records::{JobRecord, SceneRecord, StoredOutside};
     use super::*;
     use crate::jobs::observer::JobBudget;
     use crate::jobs::queue::{Job, JobKind, JobState, Outcome, Priority};
@@ -115,6 +115,7 @@ mod tests {
             mode: Mode::Full,
             spacing: 0.1,
             environment: None,
+            outside: StoredOutside::default(),
             max_albedo: None,
             groups: Default::default(),
             created_at,
