@@ -48,7 +48,7 @@ impl DragBasis {
         let subset = Subset::new(world);
         let rows = Arc::new(Rows::all(&subset));
         let dark = |_: u32, _: &Surfel, _: bool, _: &mut crate::random::Pcg32, _: &mut u64| Vec3::ZERO;
-        let source = Source { radiance: dark, looked_up: &[], sky: Vec3::ZERO, spots: None };
+        let source = Source { radiance: dark, looked_up: &[], skies: &[], spots: None };
         let work = Work::new(observer);
         let exchange =
             Exchange::trace(world, &subset, &rows, &source, Paths::Each(PATHS), subseed(seed, 0xd4a6), &work)?;

@@ -7,6 +7,8 @@ use std::sync::Arc;
 
 use glam::{DMat4, DVec3, Vec3};
 
+#[cfg(doc)]
+use crate::scene::ENVIRONMENT;
 use crate::scene::{LightKind, Scene};
 
 pub use effects::{Cost, Effect, Property, Thing};
@@ -56,6 +58,15 @@ pub enum Edit {
         /// Linear RGB factor.
         color: Vec3,
         /// Candela, lux or radiance, as the kind has it.
+        intensity: f32,
+    },
+    /// Gives a scene its light from outside, named [`ENVIRONMENT`]: instead of the one that it has, or anew.
+    Sky {
+        /// [`LightKind::Environment`] or [`LightKind::Sky`].
+        kind: LightKind,
+        /// Linear RGB factor.
+        color: Vec3,
+        /// Radiance, or a factor on the picture.
         intensity: f32,
     },
     /// Takes a light away; an emissive surface stays as an object that emits nothing.

@@ -9,8 +9,9 @@ use std::sync::Arc;
 use glam::{DMat4, DVec3, Vec3};
 use rebake_core::export::{EXR_WIDTH, write_exr};
 pub(crate) use rebake_core::layers::{Layer, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER};
-use rebake_core::scene::{self, DEFAULT_MAX_ALBEDO, Light, LightKind, LoadLimits};
+use rebake_core::scene::{self, DEFAULT_MAX_ALBEDO, LoadLimits};
 pub use rebake_core::scene::{LoadError, Scene};
+pub(crate) use rebake_core::scene::{Outside, SkyPicture};
 pub use rebake_core::surface::SurfaceError;
 pub use rebake_core::{
     Budget, Canceled, DragBasis, Edit, EditError, EditErrorKind, Focus, Importance, LightMap, Observer, Pass, Progress,
@@ -19,9 +20,6 @@ pub use rebake_core::{
 pub use rebake_core::{Stated, Transition, World, WorldError};
 
 use crate::config::Limits;
-
-/// Name of the light that the upload's `environment` makes.
-pub const ENVIRONMENT: &str = "environment";
 
 /// Bytes of one slot of a light map, or of one of its layers: direct and indirect light, and their variance.
 pub(crate) const VALUE_BYTES: usize = 2 * size_of::<Vec3>() + size_of::<f32>();
@@ -83,6 +81,17 @@ pub struct CoreEngine;
 
 impl Engine for CoreEngine {}
 
+/// Whether a file begins as a picture of the sky does.
+pub(crate) fn is_sky(file: &[u8]) -> bool {
+    scene::is_sky(file)
+}
+
+/// Reads a picture of the sky of at most `max_bytes` bytes, with what is odd about it.
+pub(crate) fn load_sky(file: &[u8], max_bytes: usize) -> Result<(SkyPicture, Vec<String>), LoadError> {
+    let limits = LoadLimits { max_bytes, ..LoadLimits::default() };
+    scene::load_sky(file, &limits).map(|loaded| (loaded.picture, loaded.warnings))
+}
+
 /// Reads an uploaded file for a world whose largest albedo is `max_albedo`; where it is not given, the default.
 pub(crate) fn load(file: &[u8], limits: &Limits, max_albedo: Option<f32>) -> Result<Scene, LoadError> {
     let default = LoadLimits::default();
@@ -125,20 +134,6 @@ fn load_within(file: &[u8], limits: &LoadLimits) -> Result<Scene, LoadError> {
 /// Mean light of a map over the scene's area, mean over RGB.
 pub(crate) fn mean_light(world: &World, map: &LightMap) -> f64 {
     world.area_mean(0..world.slots(), |slot| f64::from(map.total(slot).element_sum()) / 3.0)
-}
-
-/// Adds constant radiance from outside; false where the scene has a light of that name.
-pub(crate) fn add_environment(scene: &mut Scene, radiance: Vec3) -> bool {
-    if scene.lights.iter().any(|light| light.name == ENVIRONMENT) {
-        return false;
-    }
-    scene.lights.push(Light {
-        name: ENVIRONMENT.to_owned(),
-        kind: LightKind::Environment,
-        color: radiance,
-        intensity: 1.0,
-    });
-    true
 }
 
 /// Lays out elements and builds trees: seconds for large scenes.

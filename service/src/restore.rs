@@ -7,10 +7,9 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use glam::Vec3;
 use jiff::Timestamp;
 
-use crate::api::edit_parse;
+use crate::api::{edit_parse, skies};
 use crate::engine::{self, Edit, World};
 use crate::jobs::observer::JobBudget;
 use crate::jobs::queue::{JobKind, JobState, Outcome, Priority};
@@ -18,9 +17,10 @@ use crate::jobs::{JobSpec, new_record};
 use crate::mode::Mode;
 use crate::state::{App, Phase};
 use crate::store::StoreError;
+use crate::store::assets::Content;
 use crate::store::disk::{Disk, Saved, SavedScene};
 use crate::store::lighting::{Lighting, Sequence, Unlit};
-use crate::store::records::{JobRecord, LightRecord, SceneRecord};
+use crate::store::records::{JobRecord, LightRecord, SceneRecord, StoredOutside};
 use crate::store::scenes::{Head, IdempotencyKeys, NewScene, SceneEntry};
 use crate::store::versions::{Published, RESERVE};
 
@@ -66,11 +66,14 @@ pub(crate) fn restore(app: &Arc<App>, disk: &Disk, saved: Saved) {
 }
 
 fn restore_asset(app: &App, disk: &Disk, id: &str) -> Result<(), StoreError> {
-    let glb = disk.asset(id)?;
+    let file = disk.asset(id)?;
     // Scenes need what was acknowledged, whatever the limits are now.
-    let scene =
-        engine::load_again(&glb, None).map_err(|error| StoreError::damaged("it cannot be read any more", error))?;
-    app.assets.insert(id.to_owned(), scene, glb.len());
+    let content = match engine::is_sky(&file) {
+        true => engine::load_sky(&file, usize::MAX).map(|(picture, _)| Content::from(picture)),
+        false => engine::load_again(&file, None).map(Content::from),
+    };
+    let content = content.map_err(|error| StoreError::damaged("it cannot be read any more", error))?;
+    app.assets.insert(id.to_owned(), content, file.len());
     Ok(())
 }
 
@@ -88,7 +91,7 @@ fn restore_scene(app: &App, disk: &Disk, saved: &SavedScene) -> (Arc<SceneEntry>
 fn rebuild(app: &App, disk: &Disk, saved: &SavedScene) -> Result<(SceneEntry, bool), StoreError> {
     note_assets(app, saved);
     let record = saved.record.clone()?;
-    let uploaded = build(&disk.upload(saved)?, &record)?;
+    let uploaded = build(app, &disk.upload(saved)?, &record)?;
     // Whatever is wrong with the light can be baked again.
     let light = disk.light(saved);
     let replayed = replay(app, uploaded, &saved.edits, light.as_ref().ok().and_then(Option::as_ref))?;
@@ -122,22 +125,27 @@ fn rebuild(app: &App, disk: &Disk, saved: &SavedScene) -> Result<(SceneEntry, bo
 
 /// Notes which assets the scene's history needs, whatever else is wrong with it.
 fn note_assets(app: &App, saved: &SavedScene) {
+    let missing = |asset: &str| {
+        tracing::error!(scene = app.ids.scene(saved.number), asset, "an asset is missing");
+    };
+    let sky = saved.record.as_ref().ok().and_then(|record| record.outside.sky.as_ref());
+    if let Some(Err(asset)) = sky.map(|sky| app.assets.need(saved.number, &[&sky.asset])) {
+        missing(asset);
+    }
     for (_, body) in &saved.edits {
         if let Ok(parsed) = edit_parse::parse(body, usize::MAX)
-            && let Err(missing) = app.assets.need(saved.number, &edit_parse::inserted(&parsed))
+            && let Err(asset) = app.assets.need(saved.number, &edit_parse::used_assets(&parsed))
         {
-            tracing::error!(scene = app.ids.scene(saved.number), asset = missing, "an asset is missing");
+            missing(asset);
         }
     }
 }
 
-fn build(glb: &[u8], record: &SceneRecord) -> Result<World, StoreError> {
+fn build(app: &App, glb: &[u8], record: &SceneRecord) -> Result<World, StoreError> {
     let unreadable = |error: &dyn std::fmt::Display| StoreError::damaged("the upload cannot be read any more", error);
     let mut scene = engine::load_again(glb, record.max_albedo).map_err(|error| unreadable(&error))?;
-    if let Some(radiance) = record.environment {
-        engine::add_environment(&mut scene, Vec3::from_array(radiance));
-    }
-    scene.warn_where_dark();
+    let outside = skies::outside(record.environment, &record.outside, &app.assets);
+    outside.map_err(|problem| unreadable(&problem))?.add_to(&mut scene);
     scene.groups = record.groups.clone();
     engine::build_again(scene, record.spacing, record.mode.stated(), record.max_albedo)
         .map_err(|error| unreadable(&error))
@@ -226,6 +234,7 @@ fn damaged(app: &App, saved: &SavedScene, error: &StoreError) -> SceneEntry {
         mode: Mode::Full,
         spacing: 1.0,
         environment: None,
+        outside: StoredOutside::default(),
         max_albedo: None,
         groups: BTreeMap::new(),
         created_at: Timestamp::UNIX_EPOCH,
@@ -309,6 +318,7 @@ fn bake_again(app: &Arc<App>, scene: &Arc<SceneEntry>) {
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec3;
     use rebake_core::export::write_scene_glb;
     use rebake_core::scene::{Material, Mesh, Object, Scene};
     use rusqlite::Connection;
@@ -332,6 +342,7 @@ mod tests {
                 mode: Mode::Full,
                 spacing: 0.5,
                 environment: None,
+                outside: StoredOutside::default(),
                 groups: BTreeMap::new(),
                 max_albedo: None,
                 created_at: Timestamp::now(),

@@ -12,6 +12,7 @@ mod path;
 mod plates;
 mod scenes;
 mod see_through;
+mod skies;
 mod stated;
 mod statistics;
 mod tiles;

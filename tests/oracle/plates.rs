@@ -66,7 +66,12 @@ fn punctual_lights_and_sky_on_a_plane() {
                 5.0 * height / r2.powf(1.5) / PI
             }),
         ),
-        ("sun", LightKind::Directional { direction: Vec3::new(0.6, -0.8, 0.0) }, 3.0, Box::new(|_| 3.0 * 0.8 / PI)),
+        (
+            "sun",
+            LightKind::Directional { direction: Vec3::new(0.6, -0.8, 0.0), angle: 0.0 },
+            3.0,
+            Box::new(|_| 3.0 * 0.8 / PI),
+        ),
         ("sky", LightKind::Environment, 0.7, Box::new(|_| 0.7)),
         (
             "spot",

@@ -53,7 +53,7 @@ fn sheet(y: f32, size: f32) -> Mesh {
 }
 
 fn sun() -> Light {
-    let kind = LightKind::Directional { direction: Vec3::NEG_Y };
+    let kind = LightKind::Directional { direction: Vec3::NEG_Y, angle: 0.0 };
     Light { name: "sun".into(), kind, color: Vec3::ONE, intensity: std::f32::consts::PI }
 }
 
@@ -204,7 +204,8 @@ fn a_cut_out_is_the_shape_that_it_shows() {
     }
     let floor = || Object::new("floor", sheet(0.0, 1.5), Material::diffuse(Vec3::splat(0.7)));
     let sky = Light { name: "sky".into(), kind: LightKind::Environment, color: Vec3::ONE, intensity: 0.5 };
-    let askew = Light { kind: LightKind::Directional { direction: Vec3::new(0.48, -0.8, 0.36) }, ..sun() };
+    let askew = LightKind::Directional { direction: Vec3::new(0.48, -0.8, 0.36), angle: 0.0 };
+    let askew = Light { kind: askew, ..sun() };
     let of = |leaves: Object| lit(vec![floor(), leaves], [sky.clone(), askew.clone()], 0.06);
     let cut_out = of(of_look("leaves", sheet(0.4, 1.0), chequered(n, plainly)));
     let shape = of(Object::new("leaves", shape, Material::diffuse(Vec3::splat(0.5)).double_sided()));

@@ -25,6 +25,10 @@ export interface Light {
   object?: string;
   position?: Point;
   direction?: Point;
+  /** Of the disc of a directional light, radians. */
+  angle?: number;
+  /** Of a picture of the sky, degrees. */
+  rotation?: number;
 }
 
 /** The light of some lights at reference strengths; the map is the sum of weight × layer. */
@@ -96,6 +100,7 @@ export type Edit =
   | { op: 'material'; object: string; albedo: Rgb }
   | { op: 'relight'; lights: { light: string; color?: Rgb; intensity?: number }[] }
   | { op: 'insert_light'; name: string; light: object }
+  | { op: 'sky'; asset?: string; radiance?: Rgb; rotation?: number; strength?: number }
   | { op: 'remove_light'; light: string }
   | { op: 'move_light'; light: string; position: Point };
 

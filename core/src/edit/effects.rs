@@ -6,7 +6,7 @@
 use glam::DMat4;
 
 use super::{Edit, name_matches};
-use crate::scene::{LightKind, Scene};
+use crate::scene::{ENVIRONMENT, Scene};
 
 /// What edits are about, by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -83,8 +83,7 @@ impl Edit {
         match self {
             Edit::Insert { asset, name, .. } => {
                 // An asset's environment stays behind.
-                let is_brought = |kind: &LightKind| !matches!(kind, LightKind::Environment);
-                let brings_lights = asset.lights.iter().any(|light| is_brought(&light.kind));
+                let brings_lights = asset.lights.iter().any(|light| !light.kind.is_from_outside());
                 let lights = brings_lights.then_some(Effect::LightsComeOrGo);
                 [Effect::Comes(Thing::Object(name))].into_iter().chain(lights).collect()
             }
@@ -98,6 +97,11 @@ impl Edit {
                 lights.iter().map(|one| Effect::Sets(Thing::Light(&one.light), Property::Strength)).collect()
             }
             Edit::InsertLight { name, .. } => vec![Effect::Comes(Thing::Light(name))],
+            // It may have been there.
+            Edit::Sky { .. } => {
+                let sky = Thing::Light(ENVIRONMENT);
+                vec![Effect::Comes(sky), Effect::Sets(sky, Property::Place), Effect::Sets(sky, Property::Strength)]
+            }
             Edit::RemoveLight { light } => vec![Effect::Goes(Thing::Light(light))],
             Edit::MoveLight { light, .. } => vec![Effect::Sets(Thing::Light(light), Property::Place)],
             Edit::GroupLights { lights, .. } => {
@@ -111,7 +115,9 @@ impl Edit {
         match self {
             Edit::GroupLights { .. } => Cost::Layers,
             Edit::Relight { .. } => Cost::Weights,
-            Edit::InsertLight { .. } | Edit::RemoveLight { .. } | Edit::MoveLight { .. } => Cost::Lights,
+            Edit::InsertLight { .. } | Edit::Sky { .. } | Edit::RemoveLight { .. } | Edit::MoveLight { .. } => {
+                Cost::Lights
+            }
             Edit::Remove { .. } | Edit::Move { .. } | Edit::Material { .. } => Cost::Surfaces,
             Edit::Insert { asset, transform, .. } => Cost::Elements { asset, transform },
         }
@@ -127,6 +133,7 @@ impl Edit {
             | Edit::Move { .. }
             | Edit::Material { .. }
             | Edit::InsertLight { .. }
+            | Edit::Sky { .. }
             | Edit::RemoveLight { .. }
             | Edit::MoveLight { .. }) => vec![edit],
         }
@@ -159,6 +166,7 @@ impl Edit {
                 | Edit::Material { .. }
                 | Edit::Relight { .. }
                 | Edit::InsertLight { .. }
+                | Edit::Sky { .. }
                 | Edit::RemoveLight { .. }
                 | Edit::MoveLight { .. }
                 | Edit::GroupLights { .. },
@@ -178,6 +186,7 @@ impl Edit {
             Edit::Insert { name: object, .. } | Edit::Move { object, .. } | Edit::Material { object, .. } => {
                 !is_object(object)
             }
+            Edit::Sky { .. } => !is_light(ENVIRONMENT),
             Edit::InsertLight { name: light, .. } | Edit::RemoveLight { light } | Edit::MoveLight { light, .. } => {
                 !is_light(light)
             }

@@ -176,21 +176,15 @@ impl World {
     /// This world with the lights of some layers only, at reference strengths, each tagged with its layer's position in
     /// `layers`. `weights` tell how much their samples matter.
     pub(crate) fn only_layers(&self, layers: &[Header], weights: &[Vec3]) -> World {
-        let (mut list, mut skies) = (Vec::new(), Vec::new());
+        let mut list = Vec::new();
         for (index, layer) in layers.iter().enumerate() {
             for light in &layer.lights {
-                for emitter in self.emitters.list.iter().filter(|e| e.name == light.name) {
+                for emitter in self.emitters.all().filter(|e| e.name == light.name) {
                     list.push(crate::world::Emitter {
                         strength: light.reference,
                         layer: index as u32,
                         ..emitter.clone()
                     });
-                }
-                let is_sky = |l: &&crate::scene::Light| {
-                    l.name == light.name && matches!(l.kind, crate::scene::LightKind::Environment)
-                };
-                if self.scene.lights.iter().any(|l| is_sky(&l)) {
-                    skies.push((index as u32, light.reference));
                 }
             }
         }
@@ -206,7 +200,7 @@ impl World {
             let least = if total > 0.0 { LEAST_IMPORTANCE * total } else { 1.0 };
             emitter.importance = if power > 0.0 { weight.max(least / power) } else { 0.0 };
         }
-        World { emitters: Arc::new(Emitters::of(list, skies, radius)), ..self.clone() }
+        World { emitters: Arc::new(Emitters::of(list, radius)), ..self.clone() }
     }
 
     /// How much the light of each layer matters where samples are shared out, in a world of [`World::only_layers`]: what it

@@ -7,11 +7,11 @@ use crate::bvh::Ray;
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::transport::{DirectLight, Work};
-use crate::world::{Emitter, visible_weight};
+use crate::world::{Emitter, visible_light};
 
 impl ObjectScene<'_> {
-    /// Change of direct light (irradiance / π) that the object makes at all elements of S. The background, which has
-    /// no area to sample, is left to the object operator.
+    /// Change of direct light (irradiance / π) that the object makes at all elements of S. What comes
+    /// evenly from outside is left to the object operator.
     pub(super) fn direct_change(&self, samples: u32, seed: u64, work: &Work) -> Result<Vec<Vec3>, Canceled> {
         let counts = DirectLight::new(self.with, samples);
         let emitters = &self.with.emitters.list;
@@ -26,23 +26,23 @@ impl ObjectScene<'_> {
                     continue;
                 }
                 let sequence = R2::new(&mut rng);
-                let mut weight = Vec3::ZERO;
+                let mut light = Vec3::ZERO;
                 for k in 0..count {
                     let u = sequence.get(k);
-                    weight += if own {
-                        visible_weight(emitter, &self.with.trees, point, n, u, rays)
+                    light += if own {
+                        visible_light(emitter, &self.with.trees, point, n, u, rays)
                     } else {
-                        -self.hidden_weight(emitter, point, n, u, rays)
+                        -self.hidden_light(emitter, point, n, u, rays)
                     };
                 }
-                sum += emitter.strength * (weight / count as f32);
+                sum += light / count as f32;
             }
             sum
         })
     }
 
-    /// Weight of a light sample that the object hides and S does not.
-    fn hidden_weight(&self, emitter: &Emitter, point: Vec3, n: Vec3, u: [f32; 2], rays: &mut u64) -> Vec3 {
+    /// Light of a sample that the object hides and S does not.
+    fn hidden_light(&self, emitter: &Emitter, point: Vec3, n: Vec3, u: [f32; 2], rays: &mut u64) -> Vec3 {
         let Some(sample) = emitter.sample(point, n, u) else { return Vec3::ZERO };
         let end = sample.end(point);
         let segment = Ray { origin: point, direction: sample.direction, t_min: 0.0, t_max: sample.distance - end };
@@ -52,7 +52,8 @@ impl ObjectScene<'_> {
             return Vec3::ZERO;
         }
         *rays += 1;
-        self.without.transmittance(&segment) * hidden * (sample.weight * sample.share)
+        let light = emitter.strength * emitter.tint(sample.direction) * (sample.weight * sample.share);
+        self.without.transmittance(&segment) * hidden * light
     }
 
     fn is_of_object(&self, emitter: &Emitter) -> bool {

@@ -120,7 +120,7 @@ impl ObjectScene<'_> {
         let beyond = before - if is_behind { after } else { Vec3::ZERO };
         let (hidden, sky) = match behind {
             Some(behind) => (self.radiance(ray, &behind, field, rng, rays), Vec3::ZERO),
-            None => (Vec3::ZERO, self.with.emitters.environment),
+            None => (Vec3::ZERO, self.with.emitters.sky(ray.direction)),
         };
         Some((sent * after - hidden * beyond, -sky * beyond))
     }
@@ -162,7 +162,7 @@ impl ObjectScene<'_> {
             let Some(hit) = hit else {
                 // The background at the first hit is direct light, which is counted elsewhere.
                 if depth > 0 && lit {
-                    radiance += beta * self.with.emitters.environment;
+                    radiance += beta * self.with.emitters.sky::<Vec3>(ray.direction);
                 }
                 break;
             };

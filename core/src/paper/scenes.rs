@@ -92,13 +92,12 @@ pub(super) fn edited(transition: &Transition) -> (Keys, Keys) {
 /// Whether anything but the lights on edited objects shines otherwise than before.
 pub(super) fn lights_differ(before: &World, after: &World, gone: &Keys, come: &Keys) -> bool {
     let steady = |world: &World, keys: &Keys| {
-        let list = world.emitters.list.iter().filter(|e| e.object.is_none_or(|key| !keys.contains(&key)));
+        let list = world.emitters.all().filter(|e| e.object.is_none_or(|key| !keys.contains(&key)));
         list.cloned().collect::<Vec<_>>()
     };
     let (old, new) = (steady(before, gone), steady(after, come));
     let same = |(a, b): (&crate::world::Emitter, &crate::world::Emitter)| {
         a.name == b.name && a.strength == b.strength && a.same_shape(b)
     };
-    let environment = before.emitters.environment != after.emitters.environment;
-    environment || old.len() != new.len() || !old.iter().zip(&new).all(same)
+    old.len() != new.len() || !old.iter().zip(&new).all(same)
 }

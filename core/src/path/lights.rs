@@ -59,10 +59,9 @@ impl<'a> Lights<'a> {
             }
             let sequence = R2::new(rng);
             for k in 0..count {
-                let u = sequence.get(k);
-                let Some((w, left)) = arriving(emitter, &world.trees, point, n, u, rays) else { continue };
-                let cosine_samples = if emitter.is_delta() { 0.0 } else { self.cosine_samples };
-                sum += emitter.strength * left * (w / (count as f32 + cosine_samples * w));
+                let cosine_samples = if emitter.is_surface() { self.cosine_samples } else { 0.0 };
+                let samples = (count as f32, cosine_samples);
+                sum += shared(emitter, world, (point, n), sequence.get(k), samples, rays);
             }
         }
         sum
@@ -84,9 +83,8 @@ impl<'a> Lights<'a> {
         let world = self.world;
         let Some((index, probability)) = world.emitters.choose(point, n, rng.next_f32()) else { return Vec3::ZERO };
         let emitter = &world.emitters.list[index];
-        let Some((w, left)) = arriving(emitter, &world.trees, point, n, rng.next_2d(), rays) else { return Vec3::ZERO };
-        let cosine_samples = if emitter.is_delta() { 0.0 } else { 1.0 };
-        emitter.strength * left * (w / (probability + cosine_samples * w))
+        let cosine_samples = if emitter.is_surface() { 1.0 } else { 0.0 };
+        shared(emitter, world, (point, n), rng.next_2d(), (probability, cosine_samples), rays)
     }
 
     /// Radiance of a light that a cosine ray of a path met, its share beside [`Lights::sampled`].
@@ -114,6 +112,21 @@ impl<'a> Lights<'a> {
         let part = if pdf > 0.0 { share(index, n.dot(ray.direction) * FRAC_1_PI / pdf) } else { 1.0 };
         emitter.strength * part
     }
+}
+
+/// One sample of a light: its share of the balance heuristic beside other samples of it and cosine samples, which find
+/// surfaces only.
+#[inline]
+fn shared(
+    emitter: &Emitter,
+    world: &World,
+    (point, n): (Vec3, Vec3),
+    u: [f32; 2],
+    (samples, cosine_samples): (f32, f32),
+    rays: &mut u64,
+) -> Vec3 {
+    let Some((w, left)) = arriving(emitter, &world.trees, point, n, u, rays) else { return Vec3::ZERO };
+    emitter.strength * left * (w / (samples + cosine_samples * w))
 }
 
 /// The object of an emissive surface and the index of its material.

@@ -120,7 +120,7 @@ fn path(lights: &Lights, mut n: Vec3, mut ray: Ray, rng: &mut Pcg32, rays: &mut 
         let emitted = match &hit {
             Some(hit) if depth == 1 => lights.met_by_first(n, &ray, hit),
             Some(hit) => lights.met(n, &ray, hit),
-            None => world.emitters.environment,
+            None => world.emitters.sky(ray.direction),
         };
         *(if depth == 1 { &mut direct } else { &mut indirect }) += beta * emitted;
         let Some(surfel) = hit.and_then(|hit| Surfel::without_light(world, &ray, &hit)) else { break };

@@ -11,7 +11,7 @@ use crate::sampling::cosine_hemisphere;
 use crate::scene::{LightKind, Passage};
 use crate::transport::direct::one_light;
 use crate::transport::{Field, Rough, Surfel};
-use crate::world::{World, visible_weight};
+use crate::world::{Emitters, World, visible_light};
 
 /// Backs that a camera ray passes through at most.
 const MAX_BACKS: u32 = 64;
@@ -52,8 +52,9 @@ impl<'a> Shading<'a> {
         // One sequence per dimension and light, each with its own shift: the samples of a pixel cover its square and
         // every light evenly.
         let within = R2::new(&mut rng);
-        let lights = &self.world.emitters.list;
-        let sequences: Vec<R2> = (0..lights.len().min(MAX_LIGHTS) + 1).map(|_| R2::new(&mut rng)).collect();
+        let emitters = &self.world.emitters;
+        let count = emitters.list.len().min(MAX_LIGHTS) + emitters.skies.len();
+        let sequences: Vec<R2> = (0..count).map(|_| R2::new(&mut rng)).collect();
         let mut sum = Vec3::ZERO;
         for k in 0..options.samples {
             sum += self.radiance(rays.through(x, y, place(options, &within, k)), k, &sequences, &mut rng);
@@ -67,7 +68,7 @@ impl<'a> Shading<'a> {
         for _ in 0..MAX_SURFACES {
             let Some((there, hit)) = first_front(self.world, ray) else {
                 let sky = match self.view {
-                    View::Full | View::Direct => self.world.emitters.environment,
+                    View::Full | View::Direct => self.world.emitters.background(ray.direction),
                     View::Indirect | View::LightMap => Vec3::ZERO,
                 };
                 return sum + left * sky;
@@ -105,24 +106,16 @@ impl<'a> Shading<'a> {
         let world = self.world;
         let n = smooth_normal(world, surfel);
         let point = surfel.ray_origin();
-        let (list, mut rays) = (&world.emitters.list, 0);
-        let mut sum = Vec3::ZERO;
-        if list.len() <= MAX_LIGHTS {
-            for (emitter, sequence) in list.iter().zip(sequences) {
-                if emitter.strength != Vec3::ZERO && !emitter.is_below_horizon(point, n) {
-                    let u = sequence.get(k);
-                    sum += emitter.strength * visible_weight(emitter, &world.trees, point, n, u, &mut rays);
-                }
+        let Emitters { list, skies, .. } = &*world.emitters;
+        let mut rays = 0;
+        let (each, chosen) = if list.len() <= MAX_LIGHTS { (list.as_slice(), 0) } else { (&[][..], MAX_LIGHTS) };
+        let chosen = (0..chosen).map(|_| one_light::<Vec3>(world, point, n, rng, &mut rays)).sum::<Vec3>();
+        let mut sum = chosen / MAX_LIGHTS as f32;
+        let (of_each, of_skies) = sequences.split_at(sequences.len() - skies.len());
+        for (emitter, sequence) in each.iter().zip(of_each).chain(skies.iter().zip(of_skies)) {
+            if emitter.strength != Vec3::ZERO && !emitter.is_below_horizon(point, n) {
+                sum += visible_light(emitter, &world.trees, point, n, sequence.get(k), &mut rays);
             }
-        } else {
-            let chosen = (0..MAX_LIGHTS).map(|_| one_light::<Vec3>(world, point, n, rng, &mut rays)).sum::<Vec3>();
-            sum += chosen / MAX_LIGHTS as f32;
-        }
-        if world.emitters.environment != Vec3::ZERO {
-            let u = sequences[sequences.len() - 1].get(k);
-            let direction = cosine_hemisphere(n, u);
-            let ray = Ray { origin: point, direction, t_min: 0.0, t_max: f32::INFINITY };
-            sum += world.emitters.environment * world.trees.transmittance(&ray);
         }
         sum
     }

@@ -5,7 +5,8 @@ use std::f32::consts::{PI, TAU};
 use glam::Vec3;
 
 use super::{
-    Cone, Discrete, Mixture, Spheres, SphericalTriangle, cosine_hemisphere, cosine_hemisphere_pdf, uniform_barycentrics,
+    Cone, Discrete, Equirect, Mixture, Spheres, SphericalTriangle, TexelChoice, cosine_hemisphere,
+    cosine_hemisphere_pdf, uniform_barycentrics,
 };
 use crate::random::Pcg32;
 
@@ -136,6 +137,25 @@ fn mixtures_over_spheres_follow_their_density() {
     }
     let below = Spheres::new(&[tile(Vec3::new(0.0, 0.0, -3.0), 0.5)]);
     assert!(Mixture::new(&below, Vec3::ZERO, Vec3::Z).is_none());
+}
+
+/// Texels of many sizes: the test's own cells lie across them, about another axis.
+#[test]
+fn texels_are_chosen_by_their_weight() {
+    let grid = Equirect { width: 12, height: 7 };
+    let weight = |row: usize, column: usize| ((row * 12 + column) % 5) as f32 + if row == 0 { 9.0 } else { 0.2 };
+    let choice = TexelChoice::new(grid, weight).unwrap();
+    check_directions("texels", |u| choice.sample(u), |d| choice.pdf(d));
+    let one = TexelChoice::new(grid, |row, column| f32::from(u8::from((row, column) == (5, 11)))).unwrap();
+    let mut rng = Pcg32::new(3, 3);
+    for _ in 0..1000 {
+        let d = one.sample(rng.next_2d());
+        assert!(grid.texel(d) == (5, 11) && (f64::from(one.pdf(d)) * grid.solid_angle(5) - 1.0).abs() < 1e-5);
+    }
+    assert!(TexelChoice::new(grid, |_, _| 0.0).is_none());
+    // Whatever the grid, its texels are the sphere.
+    let whole: f64 = (0..7).map(|row| grid.solid_angle(row) * 12.0).sum();
+    assert!((whole / f64::from(2.0 * TAU) - 1.0).abs() < 1e-6);
 }
 
 #[test]

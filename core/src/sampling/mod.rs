@@ -3,12 +3,14 @@
 mod cone;
 mod cosine;
 mod discrete;
+mod equirect;
 mod mixture;
 mod triangle;
 
 pub use cone::Cone;
 pub use cosine::{cosine_hemisphere, cosine_hemisphere_pdf};
 pub use discrete::Discrete;
+pub use equirect::{Equirect, TexelChoice};
 pub use mixture::{Mixture, Spheres};
 pub use triangle::{SphericalTriangle, uniform_barycentrics};
 

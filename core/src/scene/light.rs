@@ -1,17 +1,25 @@
 //! Lights: a closed set of kinds, matched where light is sampled.
 
+use std::sync::Arc;
+
 use glam::Vec3;
+
+use super::SkyPicture;
+
+/// Name of the light from outside.
+pub const ENVIRONMENT: &str = "environment";
 
 /// A light with a name. Its strength is `color × intensity` in the unit of its kind.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Light {
-    /// Unique name within the scene: that of its glTF node, or `environment`.
+    /// Unique name within the scene: that of its glTF node, or [`ENVIRONMENT`].
     pub name: String,
     /// Where it is and how it spreads.
     pub kind: LightKind,
     /// Linear RGB factor.
     pub color: Vec3,
-    /// Scalar factor: radiance (emissive, environment), candela (point, spot) or lux (directional).
+    /// Scalar factor: radiance (emissive, environment), candela (point, spot), lux (directional), or a factor on a picture
+    /// (sky).
     pub intensity: f32,
 }
 
@@ -49,9 +57,25 @@ pub enum LightKind {
     Directional {
         /// Unit direction in which it shines.
         direction: Vec3,
+        /// Angle that its disc takes up seen from the scene, radians, below π; 0 casts hard shadows.
+        angle: f32,
     },
     /// Constant radiance from outside.
     Environment,
+    /// Radiance from outside, by direction.
+    Sky {
+        /// What is seen of it where it is not turned.
+        picture: Arc<SkyPicture>,
+        /// By how much it is turned about +y, counter-clockwise seen from above, radians.
+        rotation: f32,
+    },
+}
+
+impl LightKind {
+    /// Whether it shines from all around, from beyond everything.
+    pub fn is_from_outside(&self) -> bool {
+        matches!(self, LightKind::Environment | LightKind::Sky { .. })
+    }
 }
 
 impl Light {

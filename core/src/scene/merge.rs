@@ -35,7 +35,7 @@ pub fn merge_as_object(asset: &Scene, name: &str) -> (Object, Vec<Light>) {
                 let kind = LightKind::Emissive { object: name.to_owned(), material: first + material };
                 emissive.push(Light { name: names.claim_with(name, '/'), kind, ..light.clone() });
             }
-            LightKind::Environment => {}
+            LightKind::Environment | LightKind::Sky { .. } => {}
             LightKind::Point { .. } | LightKind::Spot { .. } | LightKind::Directional { .. } => punctual.push(light),
         }
     }

@@ -8,14 +8,18 @@ mod light;
 mod look;
 mod merge;
 mod names;
+mod outside;
 mod primitives;
+mod sky;
 mod texture;
 
 pub use self::gltf::{LoadError, LoadLimits, load, load_path};
-pub use self::light::{Light, LightKind};
+pub use self::light::{ENVIRONMENT, Light, LightKind};
 pub(crate) use self::look::Passage;
 pub use self::look::{AlphaMode, Look};
 pub use self::merge::merge_as_object;
+pub use self::outside::Outside;
+pub use self::sky::{LoadedSky, SkyError, SkyPicture, is_sky, load_sky};
 pub use self::texture::{AlphaUse, Texture, TextureMean, TextureUse, Wrap};
 
 use std::collections::BTreeMap;

@@ -174,8 +174,8 @@ impl Scene {
     /// Adds a warning where there is no light at all.
     pub fn warn_where_dark(&mut self) {
         if self.lights.is_empty() {
-            let text =
-                "the scene has no light, so its light map is black: add lamps, or light from outside (environment)";
+            let text = "the scene has no light, so its light map is black: add lamps, or light from outside (sky, environment or \
+                 default_sky)";
             self.warnings.push(text.to_owned());
         }
     }

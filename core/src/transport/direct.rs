@@ -3,24 +3,21 @@
 use glam::Vec3;
 
 use super::{Effort, Work};
-use crate::bvh::Ray;
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
-use crate::sampling::cosine_hemisphere;
 use crate::value::Value;
-use crate::world::{Emitter, World, visible_weight};
+use crate::world::{Emitter, World, visible_light};
 
 /// How many samples each light gets, for a nominal number per element.
 #[derive(Clone, Debug)]
 pub(crate) struct DirectLight {
-    /// Samples per emitter, in the order of the world's list.
+    /// Samples per emitter, in the order of `Emitters::all`.
     pub samples: Vec<u32>,
-    /// Cosine samples of the environment.
-    pub environment: u32,
 }
 
 impl DirectLight {
-    /// Splits `samples` between the lights by power; lights without extent take one, exactly.
+    /// Splits `samples` between the lights that are aimed at by power; lights without extent take one, exactly. Each sky
+    /// gets all of them: a hemisphere is large.
     pub(crate) fn new(world: &World, samples: u32) -> DirectLight {
         let emitters = &world.emitters;
         let count = emitters.list.len().max(1) as f32;
@@ -29,10 +26,10 @@ impl DirectLight {
         let of = |(i, emitter): (usize, &Emitter)| match () {
             () if emitter.strength == Vec3::ZERO => 0,
             () if emitter.is_delta() => 1,
+            () if i >= emitters.list.len() => samples,
             () => ((total * share(i)).round() as u32).clamp(1, samples.max(1)),
         };
-        let environment = if world.emitters.environment == Vec3::ZERO { 0 } else { samples };
-        DirectLight { samples: emitters.list.iter().enumerate().map(of).collect(), environment }
+        DirectLight { samples: emitters.all().enumerate().map(of).collect() }
     }
 
     /// irradiance / π at a point with unit normal `n`, light by light added up, from `factor` times the samples.
@@ -45,40 +42,29 @@ impl DirectLight {
         rays: &mut u64,
     ) -> V {
         let mut sum = V::default();
-        for (emitter, &count) in world.emitters.list.iter().zip(&self.samples) {
+        for (emitter, &count) in world.emitters.all().zip(&self.samples) {
             if count == 0 || emitter.is_below_horizon(point, n) {
                 continue;
             }
             let count = if emitter.is_delta() { count } else { count * factor };
             let sequence = R2::new(rng);
-            let mut weight = Vec3::ZERO;
+            let mut light = Vec3::ZERO;
             for k in 0..count {
-                weight += visible_weight(emitter, &world.trees, point, n, sequence.get(k), rays);
+                light += visible_light(emitter, &world.trees, point, n, sequence.get(k), rays);
             }
-            sum.add_to_layer(emitter.layer, emitter.strength * (weight / count as f32));
-        }
-        if self.environment > 0 {
-            let (count, sequence) = (self.environment * factor, R2::new(rng));
-            let mut free = Vec3::ZERO;
-            for k in 0..count {
-                let direction = cosine_hemisphere(n, sequence.get(k));
-                *rays += 1;
-                let ray = Ray { origin: point, direction, t_min: 0.0, t_max: f32::INFINITY };
-                free += world.trees.transmittance(&ray);
-            }
-            sum += world.emitters.sky::<V>() * (free / count as f32);
+            sum.add_to_layer(emitter.layer, light / count as f32);
         }
         sum
     }
 }
 
-/// One sample of one light, for a vertex of a path. Environment light is the path's own.
+/// One sample of one light that is aimed at, for a vertex of a path. What comes evenly from outside the path finds itself.
 #[inline]
 pub(crate) fn one_light<V: Value>(world: &World, point: Vec3, n: Vec3, rng: &mut Pcg32, rays: &mut u64) -> V {
     let Some((index, probability)) = world.emitters.choose(point, n, rng.next_f32()) else { return V::default() };
     let emitter = &world.emitters.list[index];
-    let weight = visible_weight(emitter, &world.trees, point, n, rng.next_2d(), rays);
-    V::of_layer(emitter.layer, emitter.strength * (weight / probability))
+    let light = visible_light(emitter, &world.trees, point, n, rng.next_2d(), rays);
+    V::of_layer(emitter.layer, light / probability)
 }
 
 /// Direct light of many elements, from `samples` each, times its effort.

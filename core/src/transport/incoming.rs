@@ -8,7 +8,7 @@ use super::{End, Spots, Surfel, walk};
 use crate::bvh::Ray;
 use crate::random::Pcg32;
 use crate::value::Value;
-use crate::world::World;
+use crate::world::{Emitter, World, sky};
 
 /// Directions drawn by the cosine for each one that is aimed at a spot.
 const COSINES_PER_AIM: u32 = 4;
@@ -26,8 +26,8 @@ pub(crate) struct Source<'a, F, V> {
     pub radiance: F,
     /// What `radiance` looks up in the first place.
     pub looked_up: &'a [V],
-    /// What paths bring that leave the scene behind near surfaces.
-    pub sky: V,
+    /// What paths find that leave the scene behind near surfaces.
+    pub skies: &'a [Emitter],
     /// Where much of it comes from.
     pub spots: Option<&'a Spots>,
 }
@@ -79,8 +79,8 @@ impl<V: Value, F: Radiance<V>> Source<'_, F, V> {
                 *light += self.aimed(world, receiver, from, rng.next_2d(), ratio, rng, rays) * (weight * surfel.albedo);
             }
         });
-        if let End::Escaped(weight) = end {
-            *light += self.sky * weight;
+        if let End::Escaped(weight, direction) = end {
+            *light += sky::<V>(self.skies, direction) * weight;
         }
         (end, landed)
     }

@@ -39,8 +39,8 @@ pub(crate) enum End {
     /// At a surface that has elements and can be looked up. The weight is the product of all albedos met, its own
     /// included, and of what tinted surfaces on the way left.
     Landed(Surfel, Vec3),
-    /// It left the scene after a near surface: what lights that surface from outside.
-    Escaped(Vec3),
+    /// It left the scene after a near surface, in this direction: what lights that surface from outside.
+    Escaped(Vec3, Vec3),
     /// Nothing more comes along it.
     Absorbed,
 }
@@ -61,7 +61,7 @@ pub(crate) fn walk(
     for depth in 0..MAX_DEPTH {
         *rays += 1;
         let Some(hit) = world.trees.first_hit(&ray, &mut weight) else {
-            return if depth > 0 { End::Escaped(weight) } else { End::Absorbed };
+            return if depth > 0 { End::Escaped(weight, ray.direction) } else { End::Absorbed };
         };
         let Some(surfel) = Surfel::to_look_up(world, &ray, &hit, rays) else { return End::Absorbed };
         let is_near = match &surfel.footprint {
@@ -165,25 +165,26 @@ impl<V: Value> Field<'_, V> {
         let radiance = move |_: u32, surfel: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64| {
             self.at(world, surfel, near, rng, rays) * surfel.albedo
         };
-        Source { radiance, looked_up: self.total, sky: world.emitters.sky(), spots }
+        Source { radiance, looked_up: self.total, skies: &world.emitters.skies, spots }
     }
 }
 
-/// Light that a surface gets straight from one of the lights, irradiance / π; the sky's is where a path escapes.
+/// Light that a surface gets straight from one of the lights, irradiance / π; the even part of the sky's is where a path
+/// escapes.
 #[inline]
 fn light_at<V: Value>(world: &World, surfel: &Surfel, rng: &mut Pcg32, rays: &mut u64) -> V {
     one_light(world, surfel.ray_origin(), surfel.normal, rng, rays)
 }
 
-/// Light of the sky at a surface, one sample.
+/// The even part of the sky's light at a surface, one sample.
 #[inline]
 fn sky_at<V: Value>(world: &World, surfel: &Surfel, rng: &mut Pcg32, rays: &mut u64) -> V {
-    if world.emitters.environment == Vec3::ZERO {
+    if !world.emitters.has_sky() {
         return V::default();
     }
     *rays += 1;
     let origin = surfel.ray_origin();
     let direction = cosine_hemisphere(surfel.normal, rng.next_2d());
     let left = world.trees.transmittance(&Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY });
-    world.emitters.sky::<V>() * left
+    world.emitters.sky::<V>(direction) * left
 }

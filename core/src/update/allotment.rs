@@ -256,7 +256,7 @@ mod tests {
         let radiance = |_: u32, s: &Surfel, _: bool, _: &mut Pcg32, _: &mut u64| {
             s.footprint.map_or(Vec3::ZERO, |footprint| footprint.interpolate(change) * s.albedo)
         };
-        let source = Source { radiance, looked_up: change, sky: Vec3::ZERO, spots: None };
+        let source = Source { radiance, looked_up: change, skies: &[], spots: None };
         Exchange::trace(world, subset, rows, &source, paths, seed, &Work::new(&Unobserved)).expect("nobody cancels")
     }
 

@@ -6,11 +6,11 @@ use super::extent::Extent;
 use crate::bvh::Ray;
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
-use crate::sampling::{Spheres, cosine_hemisphere};
+use crate::sampling::Spheres;
 use crate::solve::Subset;
 use crate::transport::{DirectLight, Work};
 use crate::value::Value;
-use crate::world::{Emitter, Transition, Trees, World};
+use crate::world::{Emitter, Shape, Transition, Trees, World};
 
 /// One light in both worlds.
 struct Pair<'a> {
@@ -19,9 +19,8 @@ struct Pair<'a> {
     /// Strength before and after.
     before: Vec3,
     after: Vec3,
-    samples_share: usize,
-    /// Whose sample counts apply.
-    in_after: bool,
+    /// Its places among the emitters of both worlds, for its sample counts.
+    places: [Option<usize>; 2],
 }
 
 /// How direct light changes between two worlds.
@@ -44,19 +43,19 @@ impl<'a> DirectChange<'a> {
             })
         };
         let mut pairs = Vec::new();
-        let mut matched = vec![false; before.emitters.list.len()];
-        for (i, emitter) in after.emitters.list.iter().enumerate() {
-            let old = before.emitters.list.iter().position(|o| o.name == emitter.name && o.same_shape(emitter));
+        let olds: Vec<&Emitter> = before.emitters.all().collect();
+        let mut matched = vec![false; olds.len()];
+        for (i, emitter) in after.emitters.all().enumerate() {
+            let old = olds.iter().position(|o| o.name == emitter.name && o.same_shape(emitter));
             let old = old.filter(|_| stays(emitter, after, before));
             if let Some(o) = old {
                 matched[o] = true;
             }
-            let strength = old.map_or(Vec3::ZERO, |o| before.emitters.list[o].strength);
-            pairs.push(Pair { emitter, before: strength, after: emitter.strength, samples_share: i, in_after: true });
+            let strength = old.map_or(Vec3::ZERO, |o| olds[o].strength);
+            pairs.push(Pair { emitter, before: strength, after: emitter.strength, places: [old, Some(i)] });
         }
-        for (i, emitter) in before.emitters.list.iter().enumerate().filter(|(i, _)| !matched[*i]) {
-            let (was, now) = (emitter.strength, Vec3::ZERO);
-            pairs.push(Pair { emitter, before: was, after: now, samples_share: i, in_after: false });
+        for (i, emitter) in olds.into_iter().enumerate().filter(|(i, _)| !matched[*i]) {
+            pairs.push(Pair { emitter, before: emitter.strength, after: Vec3::ZERO, places: [Some(i), None] });
         }
         let triangles: Vec<[Vec3; 3]> = transition.changed_triangles();
         DirectChange { transition, pairs, sphere: Spheres::new(&triangles).bounding() }
@@ -72,12 +71,10 @@ impl<'a> DirectChange<'a> {
         work: &Work,
         out: &mut [V],
     ) -> Result<(), Canceled> {
-        let (before, after) = (&self.transition.before.emitters, &self.transition.after.emitters);
-        let environment = after.sky::<V>() - before.sky::<V>();
-        if self.sphere.is_none() && environment == V::default() && self.pairs.iter().all(|p| p.before == p.after) {
+        if self.sphere.is_none() && self.pairs.iter().all(|p| p.before == p.after) {
             return Ok(());
         }
-        let change = self.change(environment, samples, seed);
+        let change = self.change(samples, seed);
         if extent.is_fine() {
             return work.add(&extent.fine, out, change);
         }
@@ -87,7 +84,7 @@ impl<'a> DirectChange<'a> {
     }
 
     /// ΔD of an element.
-    fn change<V: Value>(&self, environment: V, samples: u32, seed: u64) -> impl Fn(u32, &mut u64) -> V + Sync {
+    fn change<V: Value>(&self, samples: u32, seed: u64) -> impl Fn(u32, &mut u64) -> V + Sync {
         let (before, after) = (&self.transition.before, &self.transition.after);
         let counts = [DirectLight::new(before, samples), DirectLight::new(after, samples)];
         let seed = subseed(seed, 0xdd);
@@ -96,12 +93,10 @@ impl<'a> DirectChange<'a> {
             let mut rng = Pcg32::new(seed, u64::from(slot));
             let mut sum = V::default();
             for pair in &self.pairs {
-                let count = counts[usize::from(pair.in_after)].samples[pair.samples_share].max(1);
+                let count = |world: usize| pair.places[world].map_or(0, |place| counts[world].samples[place]);
+                let count = count(0).max(count(1)).max(1);
                 let change = self.pair_change(pair, count, point, n, &mut rng, rays);
                 sum.add_to_layer(pair.emitter.layer, change);
-            }
-            if environment != V::default() {
-                sum += environment * self.sky_before(point, n, samples, &mut rng, rays);
             }
             sum
         }
@@ -110,7 +105,9 @@ impl<'a> DirectChange<'a> {
     fn pair_change(&self, pair: &Pair, count: u32, point: Vec3, n: Vec3, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
         let emitter = pair.emitter;
         let steady = pair.before == pair.after;
-        if steady && (pair.before == Vec3::ZERO || !self.may_be_cut(emitter, point))
+        // What geometry changes of an even sky is found by the rays of the source.
+        let is_sky = matches!(emitter.shape, Shape::Sky(_));
+        if steady && (is_sky || pair.before == Vec3::ZERO || !self.may_be_cut(emitter, point))
             || emitter.is_below_horizon(point, n)
         {
             return Vec3::ZERO;
@@ -121,14 +118,15 @@ impl<'a> DirectChange<'a> {
             let Some(sample) = emitter.sample(point, n, sequence.get(k)) else { continue };
             let end = sample.end(point);
             let ray = Ray { origin: point, direction: sample.direction, t_min: 0.0, t_max: sample.distance - end };
-            let came = left(self.transition.come.as_ref(), &ray, rays);
             let went = left(self.transition.gone.as_ref(), &ray, rays);
+            let came = if is_sky { went } else { left(self.transition.come.as_ref(), &ray, rays) };
             let (before, after) = (pair.before * went, pair.after * came);
             if before == after {
                 continue;
             }
             *rays += 1;
-            sum += (after - before) * self.transition.common.transmittance(&ray) * (sample.weight * sample.share);
+            let arriving = self.transition.common.transmittance(&ray) * emitter.tint(sample.direction);
+            sum += (after - before) * arriving * (sample.weight * sample.share);
         }
         sum / count as f32
     }
@@ -149,18 +147,6 @@ impl<'a> DirectChange<'a> {
         let (a, b) = (radius / object_distance, light_radius / light_distance);
         let cos_sum = ((1.0 - a * a) * (1.0 - b * b)).sqrt() - a * b;
         to_object.dot(to_light) >= (cos_sum - 1e-4) * object_distance * light_distance
-    }
-
-    /// Free part of the sky before the edit, by the cosine: the change of what hides it is with the source's rays.
-    fn sky_before(&self, point: Vec3, n: Vec3, samples: u32, rng: &mut Pcg32, rays: &mut u64) -> Vec3 {
-        let sequence = R2::new(rng);
-        let free = (0..samples).map(|k| {
-            let direction = cosine_hemisphere(n, sequence.get(k));
-            *rays += 1;
-            let ray = Ray { origin: point, direction, t_min: 0.0, t_max: f32::INFINITY };
-            self.transition.before.trees.transmittance(&ray)
-        });
-        free.sum::<Vec3>() / samples as f32
     }
 }
 

@@ -65,6 +65,6 @@ fn place_of_light(world: &World, light: &Light) -> Option<Place> {
             let middle = (*position - world.scene.origin).as_vec3();
             Some(Place { middle, radius: world.spacing(), power: strength * FRAC_1_PI })
         }
-        LightKind::Directional { .. } | LightKind::Environment => None,
+        LightKind::Directional { .. } | LightKind::Environment | LightKind::Sky { .. } => None,
     }
 }

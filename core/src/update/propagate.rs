@@ -56,7 +56,7 @@ impl<V: Value> Change<'_, V> {
                 self.radiance(bounces, slot, s, near)
             },
             looked_up: &self.seen_by_old,
-            sky: V::default(),
+            skies: &[],
             spots,
         }
     }

@@ -94,7 +94,7 @@ impl<'a> Source<'a> {
         let (far_sky, far) = self.gather(&extent.representatives, maps, samples, seed, work)?;
         extent.add(subset, &fine, &far, indirect);
         let (before, after) = (&self.transition.before.emitters, &self.transition.after.emitters);
-        if before.environment != Vec3::ZERO || after.environment != Vec3::ZERO {
+        if before.has_sky() || after.has_sky() {
             extent.add(subset, &fine_sky, &far_sky, direct);
         }
         Ok(())
@@ -183,7 +183,8 @@ impl<'a> Source<'a> {
             unchanged(&behind, rays)
         };
         let before = if went_t < behind_t { unchanged(&went, rays) } else { unchanged(&behind, rays) };
-        let sky = |hidden: bool, left: Vec3| if hidden { V::default() } else { t.after.emitters.sky::<V>() * left };
+        let of_sky = t.after.emitters.sky::<V>(ray.direction);
+        let sky = |hidden: bool, left: Vec3| if hidden { V::default() } else { of_sky * left };
         let free = behind.is_none();
         let sky = sky(!free || came.is_some(), left_after) - sky(!free || went.is_some(), left_before);
         // Cells are asked for where they are aimed at, and nowhere else.

@@ -95,6 +95,7 @@ impl Draft {
                 self.world.scene.lights.push(light);
                 Ok(())
             }
+            Edit::Sky { kind, color, intensity } => self.set_sky(kind, *color, *intensity),
             Edit::RemoveLight { light } => {
                 let index = self.light_index("light", light)?;
                 self.world.scene.lights.remove(index);

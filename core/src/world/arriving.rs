@@ -4,8 +4,8 @@ use glam::Vec3;
 
 use super::{Emitter, Trees};
 
-/// One sample of an emitter as it arrives: its weight as if nothing stood between, and the share of it that arrives, linear
-/// RGB, each 0..=1.
+/// One sample of an emitter as it arrives: its weight as if nothing stood between, and what of unit strength arrives,
+/// linear RGB, each 0 or more: the share that is sent out there and let through, in the colour of a picture.
 #[inline]
 pub(crate) fn arriving(
     emitter: &Emitter,
@@ -19,12 +19,12 @@ pub(crate) fn arriving(
     *rays += 1;
     let end = sample.end(point);
     let left = trees.transmittance_between(point, sample.direction, sample.distance, end);
-    Some((sample.weight, left * sample.share))
+    Some((sample.weight, left * emitter.tint(sample.direction) * sample.share))
 }
 
-/// Weight of one sample of an emitter, linear RGB, zero where it is hidden.
+/// Contribution to irradiance / π of one sample of an emitter, linear RGB; black where it is hidden.
 #[inline]
-pub(crate) fn visible_weight(
+pub(crate) fn visible_light(
     emitter: &Emitter,
     trees: &Trees,
     point: Vec3,
@@ -32,5 +32,5 @@ pub(crate) fn visible_weight(
     u: [f32; 2],
     rays: &mut u64,
 ) -> Vec3 {
-    arriving(emitter, trees, point, n, u, rays).map_or(Vec3::ZERO, |(weight, share)| share * weight)
+    arriving(emitter, trees, point, n, u, rays).map_or(Vec3::ZERO, |(weight, left)| emitter.strength * left * weight)
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use glam::Vec3;
 
-use super::{Placed, World, visible_weight};
+use super::{Placed, World, visible_light};
 use crate::bvh::Ray;
 use crate::random::Pcg32;
 use crate::sampling::cosine_hemisphere;
@@ -50,7 +50,7 @@ pub(super) fn is_inside(world: &World, slot: u32) -> bool {
 /// Whether some light reaches a point straight.
 fn is_lit(world: &World, point: Vec3, n: Vec3, rng: &mut Pcg32) -> bool {
     world.emitters.list.iter().filter(|emitter| !emitter.is_below_horizon(point, n)).any(|emitter| {
-        (0..LIGHT_SAMPLES).any(|_| visible_weight(emitter, &world.trees, point, n, rng.next_2d(), &mut 0) != Vec3::ZERO)
+        (0..LIGHT_SAMPLES).any(|_| visible_light(emitter, &world.trees, point, n, rng.next_2d(), &mut 0) != Vec3::ZERO)
     })
 }
 

@@ -46,12 +46,24 @@ pub(super) fn check_strength(color: Option<Vec3>, intensity: Option<f32>) -> Res
     Ok(())
 }
 
+/// A disc covers less than half of the sky, radians.
+const MAX_ANGLE: f32 = std::f32::consts::PI;
+
 pub(super) fn check_kind(kind: &LightKind) -> Result<(), EditError> {
+    match kind {
+        LightKind::Directional { angle, .. } if !(0.0..MAX_ANGLE).contains(angle) => {
+            return Err(invalid("light.angle", "must be at least 0 and below π"));
+        }
+        LightKind::Sky { rotation, .. } if !rotation.is_finite() => {
+            return Err(invalid("light.rotation", "must be a finite number"));
+        }
+        _ => {}
+    }
     let finite = match kind {
         LightKind::Point { position, .. } => position.is_finite(),
         LightKind::Spot { position, direction, .. } => position.is_finite() && direction.is_normalized(),
-        LightKind::Directional { direction } => direction.is_normalized(),
-        LightKind::Environment | LightKind::Emissive { .. } => true,
+        LightKind::Directional { direction, .. } => direction.is_normalized(),
+        LightKind::Environment | LightKind::Sky { .. } | LightKind::Emissive { .. } => true,
     };
     if finite {
         Ok(())

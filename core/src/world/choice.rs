@@ -80,6 +80,8 @@ impl Emitter {
                     1.0 / (*position - point).length_squared().max(1e-12)
                 }
                 Shape::Directional { .. } => 1.0,
+                Shape::BrightSky(sky) => sky.bright_power(),
+                Shape::Sky(_) => 0.0,
             }
     }
 

@@ -87,6 +87,6 @@ fn kind_name(kind: &LightKind) -> &'static str {
         LightKind::Point { .. } => "point",
         LightKind::Spot { .. } => "spot",
         LightKind::Directional { .. } => "directional",
-        LightKind::Environment => "environment",
+        LightKind::Environment | LightKind::Sky { .. } => "environment",
     }
 }

@@ -2,10 +2,13 @@
 
 use std::collections::BTreeSet;
 
+use glam::Vec3;
+
 use super::apply::Draft;
-use super::check::{check_strength, error, invalid};
+use super::check::{check_kind, check_strength, error, invalid};
 use crate::edit::{EditError, EditErrorKind, Relight};
 use crate::lightmap::MAX_GROUPS;
+use crate::scene::{ENVIRONMENT, Light, LightKind};
 
 impl Draft {
     pub(super) fn relight(&mut self, relight: &Relight) -> Result<(), EditError> {
@@ -14,6 +17,26 @@ impl Draft {
         let light = &mut self.world.scene.lights[index];
         light.color = relight.color.unwrap_or(light.color);
         light.intensity = relight.intensity.unwrap_or(light.intensity);
+        Ok(())
+    }
+
+    /// Light from outside takes the place of what there is of it.
+    pub(super) fn set_sky(&mut self, kind: &LightKind, color: Vec3, intensity: f32) -> Result<(), EditError> {
+        check_strength(Some(color), Some(intensity))?;
+        check_kind(kind)?;
+        if !kind.is_from_outside() {
+            return Err(invalid("kind", "must be light from outside"));
+        }
+        let sky = Light { name: ENVIRONMENT.to_owned(), kind: kind.clone(), color, intensity };
+        let lights = &mut self.world.scene.lights;
+        match lights.iter_mut().find(|light| light.name == ENVIRONMENT) {
+            None => lights.push(sky),
+            Some(light) if light.kind.is_from_outside() => *light = sky,
+            Some(_) => {
+                let reason = format!("a light named {ENVIRONMENT:?} does not shine from outside");
+                return Err(error("op", reason, EditErrorKind::Conflict));
+            }
+        }
         Ok(())
     }
 

@@ -25,9 +25,9 @@ pub use info::{LightInfo, ObjectInfo};
 pub use transition::Transition;
 pub use trees::Trees;
 
-pub(crate) use arriving::{arriving, visible_weight};
+pub(crate) use arriving::{arriving, visible_light};
 pub(crate) use coarse::Coarse;
-pub(crate) use emitters::{Emitter, Emitters, Shape};
+pub(crate) use emitters::{Emitter, Emitters, Shape, sky};
 pub(crate) use sight::Hidden;
 pub(crate) use validity::Validity;
 

@@ -24,11 +24,13 @@ pub(super) fn move_light(kind: &mut LightKind, to: Option<DVec3>, turn: Option<V
             *position = to.unwrap_or(*position);
             *direction = turn.unwrap_or(*direction);
         }
-        LightKind::Directional { direction } => {
+        LightKind::Directional { direction, .. } => {
             *direction = turn.ok_or_else(|| invalid("direction", "is missing: a directional light has no position"))?;
         }
         LightKind::Emissive { .. } => return Err(invalid("light", "is an emissive surface: move its object")),
-        LightKind::Environment => return Err(invalid("light", "is the environment, which has no place")),
+        LightKind::Environment | LightKind::Sky { .. } => {
+            return Err(invalid("light", "is the environment, which has no place"));
+        }
     }
     Ok(())
 }
@@ -41,8 +43,8 @@ pub(super) fn transformed_light(mut light: Light, transform: &DMat4) -> Light {
             *position = transform.transform_point3(*position);
             *direction = turn(*direction);
         }
-        LightKind::Directional { direction } => *direction = turn(*direction),
-        LightKind::Emissive { .. } | LightKind::Environment => {}
+        LightKind::Directional { direction, .. } => *direction = turn(*direction),
+        LightKind::Emissive { .. } | LightKind::Environment | LightKind::Sky { .. } => {}
     }
     light
 }
@@ -103,7 +105,7 @@ mod tests {
         let floor = Object::new("floor", Mesh::quad(Vec3::ZERO, Vec3::X, Vec3::Y), Material::diffuse(Vec3::splat(0.5)));
         let sun = Light {
             name: "sun".into(),
-            kind: LightKind::Directional { direction: Vec3::NEG_Z },
+            kind: LightKind::Directional { direction: Vec3::NEG_Z, angle: 0.0 },
             color: Vec3::ONE,
             intensity: std::f32::consts::PI,
         };

@@ -1,4 +1,4 @@
-//! Assets: what is uploaded to be inserted later.
+//! Assets: what is uploaded to be inserted later, and pictures of the sky.
 
 use std::sync::Arc;
 
@@ -16,24 +16,29 @@ use super::problem::{ApiResult, Kind, Problem};
 use super::scenes::ListQuery;
 use super::types::Asset;
 use super::{Shared, require_serving, uploads};
-use crate::engine::{self, Scene};
-use crate::memory;
+use crate::engine;
 use crate::state::App;
-use crate::store::assets::{Assets, Listed, NoRoom, Stays};
+use crate::store::assets::{Assets, Content, Listed, NoRoom, Stays};
+
+/// Media types of pictures of the sky.
+const PICTURE_TYPES: &[&str] = &["image/x-exr", "image/vnd.radiance"];
 
 /// An asset in a list.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 pub(super) struct AssetSummary {
-    /// Content hash: what `insert` names.
+    /// Content hash: what `insert` and `sky` name.
     #[schema(example = "d74981efa70a0c880b8d8c1985d075dbcbf679b99a5f9914e5aaf96b831a9e24")]
     asset: String,
-    /// Triangles in the file.
+    /// Triangles in the file; 0 of a picture.
     triangles: u64,
+    /// Texels across and down of a picture of the sky, as it is kept; absent of what can be inserted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    picture: Option<[u32; 2]>,
     /// Bytes of the file.
     bytes: u64,
     /// Bytes that it takes of the service's memory.
     memory_bytes: u64,
-    /// Scenes that inserted it: while there is one, it cannot be deleted.
+    /// Scenes that use it: while there is one, it cannot be deleted.
     scenes: Vec<String>,
 }
 
@@ -46,41 +51,57 @@ pub(super) struct AssetPage {
     next_cursor: Option<String>,
 }
 
-/// Uploads an asset to insert later. The same bytes give the same id: 201 the first time, 200 afterwards.
+/// Uploads an asset to insert later, or a picture of the sky. The same bytes give the same id: 201 the first time, 200
+/// afterwards.
+///
+/// Pictures are equirectangular: linear RGB radiance as OpenEXR (channels R, G and B) or Radiance, at most 8192 × 4096
+/// pixels; kept are at most 2048 × 1024, their means. The top is +y, the middle lies towards +x, the right half towards +z.
 #[utoipa::path(
     post, path = "/v1/assets", tag = "assets", operation_id = "create_asset",
-    request_body(content = Vec<u8>, content_type = "model/gltf-binary", description = "A `.glb`, or a `.gltf` with its files as a zip archive"),
+    request_body(content(
+        (Vec<u8> = "model/gltf-binary"), (Vec<u8> = "image/x-exr"), (Vec<u8> = "image/vnd.radiance")
+    ), description = "A `.glb`, or a `.gltf` with its files as a zip archive; or a picture of the sky"),
     responses((status = 201, body = Asset, description = "Uploaded"), (status = 200, body = Asset, description = "Known already"))
 )]
 pub(super) async fn create(State(app): Shared, headers: HeaderMap, body: Body) -> ApiResult<(StatusCode, Json<Asset>)> {
     require_serving(&app)?;
-    require_content_type(&headers, uploads::GLB_TYPES)?;
-    let (glb, _room) = read_upload(&app, &headers, body).await?;
+    require_content_type(&headers, &[uploads::GLB_TYPES, PICTURE_TYPES].concat())?;
+    let is_picture = require_content_type(&headers, PICTURE_TYPES).is_ok();
+    let (file, _room) = read_upload(&app, &headers, body).await?;
     let permit = uploads::upload_permit(&app).await?;
     let its_app = app.clone();
     let add = move || {
         let _permit = permit;
-        add(&its_app, &glb)
+        add(&its_app, &file, is_picture || engine::is_sky(&file))
     };
     app.compute.build(add).await?
 }
 
 /// Keeps an asset. One that is refused leaves nothing behind.
-fn add(app: &App, glb: &Bytes) -> ApiResult<(StatusCode, Json<Asset>)> {
-    let scene = engine::load(glb, &app.config.limits, None).map_err(uploads::load_problem)?;
-    uploads::check_strengths(&scene)?;
-    let id = Assets::id_of(glb);
-    let asset = Asset { asset: id.clone(), triangles: triangles(&scene), warnings: scene.warnings.clone() };
+fn add(app: &App, file: &Bytes, is_picture: bool) -> ApiResult<(StatusCode, Json<Asset>)> {
+    let (content, warnings) = if is_picture {
+        let (picture, warnings) =
+            engine::load_sky(file, app.config.limits.upload_bytes).map_err(uploads::load_problem)?;
+        (Content::from(picture), warnings)
+    } else {
+        let scene = engine::load(file, &app.config.limits, None).map_err(uploads::load_problem)?;
+        uploads::check_strengths(&scene)?;
+        let warnings = scene.warnings.clone();
+        (Content::from(scene), warnings)
+    };
+    let id = Assets::id_of(file);
+    let (triangles, picture) = (triangles(&content), size(&content));
+    let asset = Asset { asset: id.clone(), triangles, picture, warnings };
     let _change = app.assets.change();
     if app.assets.get(&id).is_some() {
         return Ok((StatusCode::OK, Json(asset)));
     }
     let full = |NoRoom| Problem::new(Kind::TooManyAssets, "there is no room for another asset");
-    app.assets.check_room(glb.len()).map_err(full)?;
-    let promise = app.promise_memory(memory::of_asset(&scene), 0);
+    app.assets.check_room(file.len()).map_err(full)?;
+    let promise = app.promise_memory(content.memory_bytes(), 0);
     let _promise = promise.map_err(|full| uploads::memory_problem("asset", full))?;
-    app.store.asset_added(&id, glb)?;
-    app.assets.insert(id, scene, glb.len());
+    app.store.asset_added(&id, file)?;
+    app.assets.insert(id, content, file.len());
     Ok((StatusCode::CREATED, Json(asset)))
 }
 
@@ -112,7 +133,7 @@ pub(super) async fn delete(State(app): Shared, ApiPath(id): ApiPath<String>) -> 
             Stays::Unknown => Problem::new(Kind::AssetNotFound, format!("there is no asset {id:?}")),
             Stays::Needed(scenes) => {
                 let scenes: Vec<String> = scenes.iter().take(5).map(|number| its_app.ids.scene(*number)).collect();
-                Problem::new(Kind::AssetNeeded, format!("the asset was inserted into {}", scenes.join(", ")))
+                Problem::new(Kind::AssetNeeded, format!("the asset is used by {}", scenes.join(", ")))
             }
         })
     };
@@ -122,7 +143,8 @@ pub(super) async fn delete(State(app): Shared, ApiPath(id): ApiPath<String>) -> 
 
 fn summary(app: &App, asset: Listed) -> AssetSummary {
     AssetSummary {
-        triangles: triangles(&asset.scene),
+        triangles: triangles(&asset.content),
+        picture: size(&asset.content),
         bytes: asset.bytes as u64,
         memory_bytes: asset.memory_bytes,
         scenes: asset.needed_by.iter().map(|number| app.ids.scene(*number)).collect(),
@@ -130,6 +152,13 @@ fn summary(app: &App, asset: Listed) -> AssetSummary {
     }
 }
 
-fn triangles(scene: &Scene) -> u64 {
+fn triangles(content: &Content) -> u64 {
+    let Content::Model(scene) = content else { return 0 };
     scene.objects.iter().map(|object| object.mesh.triangles.len() as u64).sum()
+}
+
+fn size(content: &Content) -> Option<[u32; 2]> {
+    let Content::Picture(picture) = content else { return None };
+    let (width, height) = picture.size();
+    Some([width as u32, height as u32])
 }

@@ -46,7 +46,12 @@ pub(super) fn light_kind(light: &NewLight, path: &str) -> ApiResult<(LightKind, 
         }
         NewLight::Directional(d) => {
             let direction = unit(d.direction, &join(path, "direction"))?;
-            (LightKind::Directional { direction }, d.color, d.intensity)
+            let angle = d.angle.unwrap_or(0.0);
+            if !(0.0..std::f32::consts::PI).contains(&angle) {
+                let reason = "has to be at least 0 and below π";
+                return Err(Problem::field(Kind::InvalidValue, join(path, "angle"), reason));
+            }
+            (LightKind::Directional { direction, angle }, d.color, d.intensity)
         }
         NewLight::Environment(e) => (LightKind::Environment, e.color, e.intensity),
     })

@@ -8,6 +8,7 @@ pub(super) use super::edit_lights::check_strength;
 use super::edit_lights::{check_group, light_kind, unit};
 use super::edit_types::{self as dto, Budget, CameraRef, EditOp, Focus, NewLight, TileMode, Tiles};
 use super::problem::{ApiResult, Kind, Problem};
+use super::skies;
 use super::types::{JobPriority, dmat4, dvec3, vec3};
 use crate::config::Config;
 use crate::engine::{self, Edit, World};
@@ -90,12 +91,13 @@ fn parse_op(mut fields: Map<String, Value>, path: &str) -> ApiResult<EditOp> {
         "material" => read_fields(fields, path).map(EditOp::Material),
         "relight" => read_fields(fields, path).map(EditOp::Relight),
         "insert_light" => parse_insert_light(fields, path),
+        "sky" => read_fields(fields, path).map(EditOp::Sky),
         "remove_light" => read_fields(fields, path).map(EditOp::RemoveLight),
         "move_light" => read_fields(fields, path).map(EditOp::MoveLight),
         "group_lights" => read_fields(fields, path).map(EditOp::GroupLights),
         _ => {
             let known =
-                "insert, remove, move, material, relight, insert_light, remove_light, move_light or group_lights";
+                "insert, remove, move, material, relight, insert_light, sky, remove_light, move_light or group_lights";
             Err(Problem::field(Kind::InvalidValue, join(path, "op"), format!("{op:?} is none of {known}")))
         }
     }
@@ -161,10 +163,11 @@ pub(super) fn join(path: &str, field: &str) -> String {
     if path.is_empty() { field.to_owned() } else { format!("{path}.{field}") }
 }
 
-/// Ids of the assets that a request inserts.
-pub(crate) fn inserted<'a>(parsed: &'a Parsed) -> Vec<&'a str> {
+/// Ids of the assets that a request uses.
+pub(crate) fn used_assets<'a>(parsed: &'a Parsed) -> Vec<&'a str> {
     let asset = |op: &'a EditOp| match op {
         EditOp::Insert(insert) => Some(insert.asset.as_str()),
+        EditOp::Sky(sky) => sky.asset.as_deref(),
         _ => None,
     };
     parsed.edits.iter().filter_map(asset).collect()
@@ -188,11 +191,7 @@ fn to_edit(op: &EditOp, path: &str, assets: &Assets, max_name: usize) -> ApiResu
         EditOp::Insert(insert) => {
             finite("transform", &insert.transform)?;
             check_name(&insert.name, &join(path, "name"), max_name)?;
-            let unknown = || {
-                let reason = format!("no asset {:?} was uploaded", insert.asset);
-                Problem::field(Kind::UnknownAsset, join(path, "asset"), reason)
-            };
-            let asset = assets.get(&insert.asset).ok_or_else(unknown)?;
+            let asset = skies::model(&insert.asset, &join(path, "asset"), assets)?;
             Edit::Insert { asset, name: insert.name.clone(), transform: dmat4(&insert.transform) }
         }
         EditOp::Remove(remove) => {
@@ -232,6 +231,7 @@ fn to_edit(op: &EditOp, path: &str, assets: &Assets, max_name: usize) -> ApiResu
             check_strength(Some(&color), Some(intensity), &at)?;
             Edit::InsertLight { name: new.name.clone(), kind, color: vec3(color), intensity }
         }
+        EditOp::Sky(sky) => skies::edit(sky, path, assets)?,
         EditOp::RemoveLight(remove) => Edit::RemoveLight { light: remove.light.clone() },
         EditOp::MoveLight(place) => {
             if place.position.is_none() && place.direction.is_none() {

@@ -71,6 +71,8 @@ pub enum EditOp {
     Relight(Relight),
     /// Adds a light.
     InsertLight(InsertLight),
+    /// Gives the scene its light from outside.
+    Sky(Sky),
     /// Takes a light away.
     RemoveLight(RemoveLight),
     /// Moves or turns a light.
@@ -226,6 +228,10 @@ pub struct DirectionalLight {
     pub color: [f32; 3],
     /// Lux on a surface that faces it.
     pub intensity: f32,
+    /// Angle that its disc takes up, radians, at least 0 and below π: the sun's is 0.0093. 0 where absent: hard shadows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(example = 0.0093)]
+    pub angle: Option<f32>,
 }
 
 /// Constant radiance from outside.
@@ -236,6 +242,28 @@ pub struct EnvironmentLight {
     pub color: [f32; 3],
     /// Radiance.
     pub intensity: f32,
+}
+
+/// Gives the scene its light from outside, instead of what it has of it: a picture or the same from everywhere. The light
+/// is named `environment`, and is relit, grouped and removed as others are.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Sky {
+    /// An equirectangular picture: what `POST /v1/assets` answered. Either it or `radiance`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(example = "d74981efa70a0c880b8d8c1985d075dbcbf679b99a5f9914e5aaf96b831a9e24")]
+    pub asset: Option<String>,
+    /// Linear RGB radiance from everywhere. Either it or `asset`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub radiance: Option<[f32; 3]>,
+    /// By how much the picture is turned about +y, counter-clockwise seen from above, degrees; 0 where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(example = 90.0)]
+    pub rotation: Option<f32>,
+    /// Factor on the radiance; 1 where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(example = 1.0)]
+    pub strength: Option<f32>,
 }
 
 /// Takes a light away. An emissive surface stays as an object that emits nothing.

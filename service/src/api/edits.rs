@@ -9,7 +9,7 @@ use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use serde_json::Value;
 
-use super::edit_parse::{Parsed, inserted, parse, to_budget, to_edits, to_focus, to_tiles};
+use super::edit_parse::{Parsed, parse, to_budget, to_edits, to_focus, to_tiles, used_assets};
 use super::edit_types::{self, EditRequest};
 use super::extract::{ApiPath, ETags, read_body, require_content_type, text_header};
 use super::layers::check_edits;
@@ -49,6 +49,7 @@ static IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
         ("material" = (value = json!({"op": "material", "object": "sofa", "albedo": [0.6, 0.1, 0.1]}))),
         ("relight" = (value = json!({"op": "relight", "lights": [{"light": "lamp", "color": [1, 0.9, 0.8], "intensity": 2.5}]}))),
         ("insert_light" = (value = json!({"op": "insert_light", "name": "lamp-2", "light": {"kind": "point", "position": [0, 2, 0], "color": [1, 1, 1], "intensity": 40}}))),
+        ("sky" = (value = json!({"op": "sky", "asset": "d74981efa70a0c880b8d8c1985d075dbcbf679b99a5f9914e5aaf96b831a9e24", "rotation": 90, "strength": 1.5}))),
         ("group_lights" = (value = json!({"op": "group_lights", "name": "ceiling", "lights": ["lamp-1", "lamp-2"]}))),
         ("several" = (value = json!({"edits": [{"op": "remove", "objects": ["sofa"]}, {"op": "move_light", "light": "lamp", "position": [1, 2, 0]}], "budget": {"max_seconds": 2.5}})))
     )),
@@ -161,7 +162,7 @@ fn accept(
     let key = key.map(|(key, body_hash)| KeyRecord { key, body_hash, job: ticket.number, answer: answer.clone() });
     let edit = transition.is_some().then_some(EditRecord { sequence: spec.sequence, body });
     let gone = |asset| Problem::new(Kind::UnknownAsset, format!("the asset {asset:?} was deleted"));
-    let needed = app.assets.need(scene.number, &inserted(&parsed)).map_err(gone)?;
+    let needed = app.assets.need(scene.number, &used_assets(&parsed)).map_err(gone)?;
     let kept = app.store.accepted(&Accepted { scene: scene.number, edit, job: &record, key: key.as_ref(), jobs });
     kept.inspect_err(|_| app.assets.unneed(scene.number, &needed))?;
     let unlit = transition.map(|transition| {

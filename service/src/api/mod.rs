@@ -23,6 +23,7 @@ mod painter;
 pub mod problem;
 mod render;
 mod scenes;
+pub(crate) mod skies;
 mod trace;
 pub mod types;
 mod uploads;

@@ -163,11 +163,19 @@ fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::
 fn light(info: &rebake_core::LightInfo<'_>, map: &LightMap) -> types::Light {
     use rebake_core::scene::LightKind;
     let light = info.light;
+    let (mut angle, mut rotation) = (None, None);
     let (object, position, direction) = match &light.kind {
         LightKind::Emissive { object, .. } => (Some(object.clone()), None, None),
         LightKind::Point { position, .. } => (None, Some(*position), None),
         LightKind::Spot { position, direction, .. } => (None, Some(*position), Some(*direction)),
-        LightKind::Directional { direction } => (None, None, Some(*direction)),
+        LightKind::Directional { direction, angle: its_angle } => {
+            angle = Some(*its_angle);
+            (None, None, Some(*direction))
+        }
+        LightKind::Sky { rotation: turned, .. } => {
+            rotation = Some(turned.to_degrees());
+            (None, None, None)
+        }
         LightKind::Environment => (None, None, None),
     };
     types::Light {
@@ -179,6 +187,8 @@ fn light(info: &rebake_core::LightInfo<'_>, map: &LightMap) -> types::Light {
         object,
         position: position.map(|p| p.to_array()),
         direction: direction.map(|d| d.to_array()),
+        angle,
+        rotation,
     }
 }
 

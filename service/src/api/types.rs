@@ -192,7 +192,7 @@ pub struct Light {
     pub kind: String,
     /// Linear RGB factor.
     pub color: [f32; 3],
-    /// Radiance (emissive, environment), candela (point, spot) or lux (directional).
+    /// Radiance (emissive, environment), candela (point, spot), lux (directional), or a factor on a picture of the sky.
     #[schema(example = 40.0)]
     pub intensity: f32,
     /// The layer of the light map that holds its light; null while the map has no layers, or none of this light yet.
@@ -207,6 +207,12 @@ pub struct Light {
     /// Where it shines.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub direction: Option<[f32; 3]>,
+    /// Angle that the disc of a directional light takes up, radians.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub angle: Option<f32>,
+    /// By how much a picture of the sky is turned about +y, degrees; absent without a picture.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rotation: Option<f32>,
 }
 
 /// A layer: the light of some lights at reference strengths.
@@ -258,11 +264,14 @@ pub struct Camera {
 /// An uploaded asset.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Asset {
-    /// Content hash: what `insert` names.
+    /// Content hash: what `insert` and `sky` name.
     #[schema(example = "d74981efa70a0c880b8d8c1985d075dbcbf679b99a5f9914e5aaf96b831a9e24")]
     pub asset: String,
-    /// Triangles in the file.
+    /// Triangles in the file; 0 of a picture.
     pub triangles: u64,
+    /// Texels across and down of a picture of the sky, as it is kept; absent of what can be inserted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub picture: Option<[u32; 2]>,
     /// What the file asked for and did not get.
     pub warnings: Vec<String>,
 }

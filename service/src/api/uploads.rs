@@ -7,7 +7,6 @@ use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
-use glam::Vec3;
 use jiff::Timestamp;
 use serde::Deserialize;
 use tokio::sync::OwnedSemaphorePermit;
@@ -19,6 +18,7 @@ use super::extract::{ApiQuery, read_upload, require_content_type};
 use super::layers::{self, Wanted};
 use super::problem::{ApiResult, Kind, Problem};
 use super::scenes::scene_json;
+use super::skies;
 use super::types::{self, JobPriority};
 use super::{Shared, require_serving};
 use crate::engine::{self, LoadError, Scene, SurfaceError, World, WorldError};
@@ -28,7 +28,7 @@ use crate::memory::{self, NoRoom};
 use crate::mode::Mode;
 use crate::state::App;
 use crate::store::layers::LAYER_BYTES;
-use crate::store::records::SceneRecord;
+use crate::store::records::{SceneRecord, StoredOutside};
 use crate::store::scenes::{NewScene, Reservation, SceneEntry};
 use crate::store::versions::FIRST_RESERVE;
 
@@ -54,7 +54,22 @@ pub(super) struct CreateQuery {
     mode: Option<Mode>,
     /// Constant radiance from outside, `r,g,b`: adds a light named `environment`.
     #[param(example = "1,1,1")]
-    environment: Option<String>,
+    pub(super) environment: Option<String>,
+    /// A picture of the sky, uploaded as an asset: adds a light named `environment`.
+    #[param(example = "d74981efa70a0c880b8d8c1985d075dbcbf679b99a5f9914e5aaf96b831a9e24")]
+    pub(super) sky: Option<String>,
+    /// By how much that picture is turned about +y, counter-clockwise seen from above, degrees; 0 where absent.
+    #[param(example = 90.0)]
+    pub(super) sky_rotation: Option<f32>,
+    /// Factor on its radiance; 1 where absent.
+    #[param(example = 1.0)]
+    pub(super) sky_strength: Option<f32>,
+    /// Whether a scene that has no light at all gets a plain sky, of radiance 1 from everywhere; `false` where absent.
+    pub(super) default_sky: Option<bool>,
+    /// Angle that the discs of directional lights of the file take up, degrees, below 180: the sun's is 0.53. 0 where
+    /// absent, as glTF has it: hard shadows.
+    #[param(example = 0.53)]
+    pub(super) sun_angle: Option<f32>,
     /// Largest albedo that light meets, above 0 and up to 0.999: what is above, of the file, of inserted assets and of
     /// repaints, counts as this. 0.95 where absent.
     #[param(example = 0.99)]
@@ -121,7 +136,8 @@ fn create_scene(
         name: options.name,
         mode: options.mode,
         spacing: world.spacing(),
-        environment: options.environment.map(|radiance| radiance.to_array()),
+        environment: options.environment,
+        outside: options.outside,
         max_albedo: options.max_albedo,
         groups: world.scene.groups.clone(),
         created_at: Timestamp::now(),
@@ -161,7 +177,11 @@ fn create_scene(
             Some((ticket, job))
         }
     };
-    app.store.scene_created(scene.number, &record, glb, bake.as_ref().map(|(_, job)| job))?;
+    let skies: Vec<&str> = record.outside.sky.iter().map(|sky| sky.asset.as_str()).collect();
+    let gone = |asset: &str| Problem::field(Kind::UnknownAsset, "sky", format!("the asset {asset:?} was deleted"));
+    app.assets.need(scene.number, &skies).map_err(gone)?;
+    let created = app.store.scene_created(scene.number, &record, glb, bake.as_ref().map(|(_, job)| job));
+    created.inspect_err(|_| app.assets.release(scene.number))?;
     scene.published().objects();
     app.scenes.insert(scene.clone());
     let bake = bake.map(|(ticket, job)| app.ids.job(ticket.submit(&scene, &job, || ()).number));
@@ -174,7 +194,8 @@ struct Options {
     name: String,
     spacing: Option<f32>,
     mode: Mode,
-    environment: Option<Vec3>,
+    environment: Option<[f32; 3]>,
+    outside: StoredOutside,
     max_albedo: Option<f32>,
     layers: Wanted,
     bake: Option<crate::jobs::observer::JobBudget>,
@@ -183,6 +204,7 @@ struct Options {
 
 impl Options {
     fn from_query(query: CreateQuery, app: &App) -> ApiResult<Options> {
+        let outside = skies::asked_for(&query)?;
         let name = query.name.unwrap_or_else(|| "scene".to_owned());
         check_name(&name, "name", app.config.limits.name_chars)?;
         if query.spacing.is_some_and(|spacing| !(spacing.is_finite() && spacing > 0.0)) {
@@ -192,6 +214,7 @@ impl Options {
             let reason = format!("has to be above 0 and at most {LARGEST_ALBEDO}");
             return Err(Problem::field(Kind::InvalidQuery, "max_albedo", reason));
         }
+        let environment = query.environment.as_deref().map(parse_environment).transpose()?;
         let budget = Budget {
             samples_per_element: query.samples_per_element,
             max_seconds: query.max_seconds,
@@ -202,7 +225,8 @@ impl Options {
             name,
             spacing: query.spacing,
             mode: query.mode.unwrap_or_default(),
-            environment: query.environment.as_deref().map(parse_environment).transpose()?,
+            environment,
+            outside,
             max_albedo: query.max_albedo,
             layers: query
                 .layers
@@ -218,13 +242,13 @@ fn in_query(problem: Problem) -> Problem {
     problem.with_kind(Kind::InvalidQuery)
 }
 
-fn parse_environment(text: &str) -> ApiResult<Vec3> {
+fn parse_environment(text: &str) -> ApiResult<[f32; 3]> {
     let numbers: Option<Vec<f32>> =
         text.split(',').map(|number| number.trim().parse().ok().filter(|x: &f32| x.is_finite() && *x >= 0.0)).collect();
     match numbers.as_deref() {
         Some([r, g, b]) => {
             check_strength(Some(&[*r, *g, *b]), None, "environment").map_err(in_query)?;
-            Ok(Vec3::new(*r, *g, *b))
+            Ok([*r, *g, *b])
         }
         _ => Err(Problem::field(Kind::InvalidQuery, "environment", "has to be r,g,b, each finite and at least 0")),
     }
@@ -233,13 +257,11 @@ fn parse_environment(text: &str) -> ApiResult<Vec3> {
 fn build_world(app: &App, glb: &Bytes, options: &Options) -> ApiResult<World> {
     let (spacing, limits) = (options.spacing, &app.config.limits);
     let mut scene = engine::load(glb, limits, options.max_albedo).map_err(load_problem)?;
-    if let Some(radiance) = options.environment
-        && !engine::add_environment(&mut scene, radiance)
-    {
+    let outside = skies::outside(options.environment, &options.outside, &app.assets)?;
+    if !outside.add_to(&mut scene) {
         let reason = "the file has a light named \"environment\" already";
         return Err(Problem::field(Kind::NameTaken, "environment", reason));
     }
-    scene.warn_where_dark();
     check_strengths(&scene)?;
     scene.groups = options.layers.groups(&scene)?;
     let bytes = memory::estimate(&scene, spacing);

@@ -7,17 +7,17 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use glam::Vec3;
 use indicatif::ProgressBar;
 use rebake::Mode;
 use rebake_core::export::{lightmap_exr, lightmap_glb};
-use rebake_core::scene::{Light, LightKind, LoadLimits, Scene, load_path};
+use rebake_core::scene::{LoadLimits, Scene, load_path};
 use rebake_core::{Budget, LightMap, Observer, Progress, World, WorldOptions};
 
 use super::exit::{self, Interrupted};
 use super::remote::Replacement;
+use super::sky::SkyArgs;
 use super::ui;
-use super::values::{Rgb, positive};
+use super::values::positive;
 
 const AFTER_HELP: &str = "\
 The ending of the file chooses the format: .glb is the subdivided mesh with the light map as float COLOR_0, .exr the \
@@ -25,7 +25,8 @@ values alone. The first bound that is reached of --samples, --max-seconds and --
 it too and writes what there is by then. Same scene, same options, same seed: same bits, whatever the number of \
 threads, unless time ended it.
   rebake bake room.glb -o room.exr --spacing 0.05 --samples 512
-  rebake bake room.glb -o room.glb --target-rmse 0.01 --environment 1,1,1.2";
+  rebake bake room.glb -o room.glb --target-rmse 0.01 --environment 1,1,1.2
+  rebake bake yard.glb -o yard.exr --sky noon.hdr --sky-rotation 90";
 
 /// Arguments of `rebake bake`.
 #[derive(Debug, clap::Args)]
@@ -46,9 +47,8 @@ pub(super) struct BakeArgs {
     /// What to write: all light, or only what has bounced
     #[arg(long, value_enum, default_value_t = Mode::Full)]
     mode: Mode,
-    /// Constant radiance from outside, linear RGB [default: black]
-    #[arg(long, value_name = "R,G,B")]
-    environment: Option<Rgb>,
+    #[command(flatten)]
+    sky: SkyArgs,
     /// Seed of the random numbers
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
@@ -100,7 +100,7 @@ pub(super) async fn bake(args: BakeArgs) -> anyhow::Result<()> {
 
 fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
     let start = Instant::now();
-    let scene = load_scene(&args.file, args.environment)?;
+    let scene = load_scene(&args.file, &args.sky)?;
     // Opened now: a place that cannot be written is better known before the bake than after it.
     let mut out = Replacement::begin(&args.output)?;
     let spinner = ui::spinner("elements");
@@ -142,17 +142,10 @@ fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
 }
 
 /// Loads a file, says what it asked for and does not get, and adds light from outside.
-pub(super) fn load_scene(file: &Path, environment: Option<Rgb>) -> anyhow::Result<Scene> {
+pub(super) fn load_scene(file: &Path, sky: &SkyArgs) -> anyhow::Result<Scene> {
     let cannot = || format!("cannot load {}", file.display());
     let mut scene = load_path(file, &LoadLimits::default()).with_context(cannot)?;
-    if let Some(Rgb(radiance)) = environment {
-        let taken = scene.lights.iter().any(|light| light.name == "environment");
-        anyhow::ensure!(!taken, "--environment: the scene has a light of the name \"environment\"");
-        let color = Vec3::from_array(radiance.map(|x| x as f32));
-        let name = "environment".to_owned();
-        scene.lights.push(Light { name, kind: LightKind::Environment, color, intensity: 1.0 });
-    }
-    scene.warn_where_dark();
+    sky.add_to(&mut scene)?;
     scene.warnings.iter().for_each(|warning| ui::note(&format!("warning: {warning}")));
     Ok(scene)
 }

@@ -8,6 +8,7 @@ mod exit;
 mod remote;
 mod render;
 mod serve;
+mod sky;
 mod ui;
 mod values;
 

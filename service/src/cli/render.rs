@@ -14,8 +14,9 @@ use serde::de::DeserializeOwned;
 
 use super::bake::load_scene;
 use super::remote::{Replacement, ServerArgs, interruptible};
+use super::sky::SkyArgs;
 use super::ui;
-use super::values::{Point, Rgb, positive};
+use super::values::{Point, positive};
 
 const AFTER_HELP: &str = "\
 What ends in .glb is a file: it is baked here, without a service. Anything else is the id of a scene of the service. \
@@ -51,9 +52,8 @@ pub(super) struct RenderArgs {
     /// Files: largest distance between neighbouring elements, metres [default: from the scene's size]
     #[arg(long, value_name = "METRES", value_parser = positive)]
     spacing: Option<f64>,
-    /// Files: constant radiance from outside, linear RGB [default: black]
-    #[arg(long, value_name = "R,G,B")]
-    environment: Option<Rgb>,
+    #[command(flatten)]
+    sky: SkyArgs,
     /// Files: threads [default: one per core]
     #[arg(long, value_name = "N", env = "REBAKE_THREADS")]
     threads: Option<NonZeroUsize>,
@@ -206,7 +206,7 @@ async fn render_file(args: RenderArgs) -> anyhow::Result<()> {
 }
 
 fn bake_and_draw(args: &RenderArgs) -> anyhow::Result<()> {
-    let scene = load_scene(Path::new(&args.scene), args.environment)?;
+    let scene = load_scene(Path::new(&args.scene), &args.sky)?;
     let options = WorldOptions { spacing: args.spacing.map(|spacing| spacing as f32), ..WorldOptions::default() };
     let start = Instant::now();
     let spinner = ui::spinner("bake");

@@ -107,12 +107,15 @@ impl Client {
         self.send(self.request(Method::DELETE, &["v1", "scenes", scene], &[])?).await.map(drop)
     }
 
-    /// Uploads something to insert later; answers its id.
-    pub async fn create_asset(&self, glb: Vec<u8>) -> Result<String, ClientError> {
-        let request = self
-            .request(Method::POST, &["v1", "assets"], &[])?
-            .header(header::CONTENT_TYPE, "model/gltf-binary")
-            .body(glb);
+    /// Uploads something to insert later, or a picture of the sky; answers its id.
+    pub async fn create_asset(&self, file: Vec<u8>) -> Result<String, ClientError> {
+        let media_type = match rebake_core::scene::is_sky(&file) {
+            true if file.starts_with(b"#?") => "image/vnd.radiance",
+            true => "image/x-exr",
+            false => "model/gltf-binary",
+        };
+        let request =
+            self.request(Method::POST, &["v1", "assets"], &[])?.header(header::CONTENT_TYPE, media_type).body(file);
         let asset: Asset = self.json(request).await?;
         Ok(asset.asset)
     }

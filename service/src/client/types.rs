@@ -15,6 +15,16 @@ pub struct NewScene {
     pub mode: Option<String>,
     /// Constant radiance from outside.
     pub environment: Option<[f32; 3]>,
+    /// A picture of the sky: what [`crate::Client::create_asset`] answered.
+    pub sky: Option<String>,
+    /// By how much it is turned about +y, degrees.
+    pub sky_rotation: Option<f32>,
+    /// Factor on its radiance.
+    pub sky_strength: Option<f32>,
+    /// `true`: a plain sky where there is no light.
+    pub default_sky: Option<bool>,
+    /// Angle of the discs of directional lights, degrees.
+    pub sun_angle: Option<f32>,
     /// `shared`, `each` or a JSON object of layers with their lights.
     pub layers: Option<String>,
     /// `false`: upload only.
@@ -29,6 +39,11 @@ impl NewScene {
             ("spacing", self.spacing.map(|spacing| spacing.to_string())),
             ("mode", self.mode.clone()),
             ("environment", environment),
+            ("sky", self.sky.clone()),
+            ("sky_rotation", self.sky_rotation.map(|degrees| degrees.to_string())),
+            ("sky_strength", self.sky_strength.map(|factor| factor.to_string())),
+            ("default_sky", self.default_sky.map(|is_wanted| is_wanted.to_string())),
+            ("sun_angle", self.sun_angle.map(|degrees| degrees.to_string())),
             ("layers", self.layers.clone()),
             ("bake", self.bake.map(|bake| bake.to_string())),
         ]

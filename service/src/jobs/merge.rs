@@ -108,7 +108,7 @@ mod tests {
     use glam::{DMat4, DVec3, Vec3};
 
     use rebake_core::edit::name_matches;
-    use rebake_core::scene::LightKind;
+    use rebake_core::scene::{ENVIRONMENT, LightKind};
 
     use super::super::tests::Dice;
     use super::*;
@@ -152,6 +152,10 @@ mod tests {
                         return None;
                     }
                 }
+                Edit::Sky { color, intensity, .. } => {
+                    let light = self.lights.entry(ENVIRONMENT.to_owned()).or_default();
+                    (light.0, light.1, light.2) = (*color, *intensity, DVec3::ZERO);
+                }
                 Edit::RemoveLight { light } => {
                     self.lights.remove(light)?;
                 }
@@ -170,12 +174,13 @@ mod tests {
     }
 
     fn random_edit(dice: &mut Dice) -> Edit {
-        let name = |dice: &mut Dice| ["a", "b", "ab"][dice.roll(3) as usize].to_owned();
+        let name = |dice: &mut Dice| ["a", "b", "ab", ENVIRONMENT][dice.roll(4) as usize].to_owned();
         let object = name(dice);
         let number = dice.roll(1000) as f32;
         let transform = DMat4::from_translation(DVec3::splat(f64::from(number)));
         let asset = || Arc::new(Scene::from_objects(Vec::new()));
-        match dice.roll(10) {
+        match dice.roll(11) {
+            10 => Edit::Sky { kind: LightKind::Environment, color: Vec3::ONE, intensity: number },
             9 => Edit::GroupLights { group: Some(name(dice)), lights: vec![object] },
             0 => Edit::Insert { asset: asset(), name: object, transform },
             1 => Edit::Remove { objects: vec![object] },

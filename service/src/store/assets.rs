@@ -1,11 +1,42 @@
-//! What clients uploaded to insert later, by the hash of its bytes.
+//! What clients uploaded to insert later, or as a sky, by the hash of its bytes.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
-use crate::engine::Scene;
+use crate::engine::{Scene, SkyPicture};
 use crate::jobs::queue::SceneNumber;
 use crate::memory;
+
+/// What an asset is.
+#[derive(Clone, Debug)]
+pub(crate) enum Content {
+    /// Something to insert.
+    Model(Arc<Scene>),
+    /// A picture of the sky.
+    Picture(Arc<SkyPicture>),
+}
+
+impl Content {
+    /// Bytes that it takes.
+    pub(crate) fn memory_bytes(&self) -> u64 {
+        match self {
+            Content::Model(scene) => memory::of_asset(scene),
+            Content::Picture(picture) => picture.memory_bytes() as u64,
+        }
+    }
+}
+
+impl From<Scene> for Content {
+    fn from(scene: Scene) -> Content {
+        Content::Model(Arc::new(scene))
+    }
+}
+
+impl From<SkyPicture> for Content {
+    fn from(picture: SkyPicture) -> Content {
+        Content::Picture(Arc::new(picture))
+    }
+}
 
 /// Assets in memory.
 #[derive(Debug)]
@@ -30,10 +61,10 @@ struct Held {
 #[derive(Debug)]
 struct Entry {
     number: u64,
-    scene: Arc<Scene>,
+    content: Content,
     bytes: usize,
     memory_bytes: u64,
-    /// Scenes that inserted it at some time.
+    /// Scenes that used it at some time.
     needed_by: BTreeSet<SceneNumber>,
     /// It is being deleted: nobody begins to need it.
     is_leaving: bool,
@@ -44,7 +75,7 @@ struct Entry {
 pub(crate) struct Listed {
     pub(crate) number: u64,
     pub(crate) id: String,
-    pub(crate) scene: Arc<Scene>,
+    pub(crate) content: Content,
     /// As uploaded.
     pub(crate) bytes: usize,
     pub(crate) memory_bytes: u64,
@@ -60,7 +91,7 @@ pub(crate) struct NoRoom;
 pub(crate) enum Stays {
     /// There is none of that id.
     Unknown,
-    /// These scenes inserted it.
+    /// These scenes use it.
     Needed(Vec<SceneNumber>),
 }
 
@@ -74,8 +105,8 @@ impl Assets {
         blake3::hash(glb).to_hex().to_string()
     }
 
-    pub(crate) fn get(&self, id: &str) -> Option<Arc<Scene>> {
-        self.read().by_hash.get(id).filter(|entry| !entry.is_leaving).map(|entry| entry.scene.clone())
+    pub(crate) fn get(&self, id: &str) -> Option<Content> {
+        self.read().by_hash.get(id).filter(|entry| !entry.is_leaving).map(|entry| entry.content.clone())
     }
 
     /// Bytes of all assets as they are held.
@@ -96,8 +127,9 @@ impl Assets {
     }
 
     /// Keeps an asset of `bytes` uploaded bytes, whatever room there is. True where it is new.
-    pub(crate) fn insert(&self, id: String, scene: Scene, bytes: usize) -> bool {
-        let memory_bytes = memory::of_asset(&scene);
+    pub(crate) fn insert(&self, id: String, content: impl Into<Content>, bytes: usize) -> bool {
+        let content = content.into();
+        let memory_bytes = content.memory_bytes();
         let mut held = self.write();
         if held.by_hash.contains_key(&id) {
             return false;
@@ -107,8 +139,8 @@ impl Assets {
         held.memory_bytes += memory_bytes;
         let number = held.newest;
         held.by_number.insert(number, id.clone());
-        let (scene, needed_by) = (Arc::new(scene), BTreeSet::new());
-        held.by_hash.insert(id, Entry { number, scene, bytes, memory_bytes, needed_by, is_leaving: false });
+        let needed_by = BTreeSet::new();
+        held.by_hash.insert(id, Entry { number, content, bytes, memory_bytes, needed_by, is_leaving: false });
         true
     }
 
@@ -121,7 +153,7 @@ impl Assets {
             Some(Listed {
                 number: *number,
                 id: id.clone(),
-                scene: entry.scene.clone(),
+                content: entry.content.clone(),
                 bytes: entry.bytes,
                 memory_bytes: entry.memory_bytes,
                 needed_by: entry.needed_by.iter().copied().collect(),

@@ -21,6 +21,8 @@ pub(crate) struct SceneRecord {
     /// The spacing in force, also where the client left it open.
     pub(crate) spacing: f32,
     pub(crate) environment: Option<[f32; 3]>,
+    #[serde(default)]
+    pub(crate) outside: StoredOutside,
     /// Bound on albedos, where the client stated one.
     #[serde(default)]
     pub(crate) max_albedo: Option<f32>,
@@ -28,6 +30,24 @@ pub(crate) struct SceneRecord {
     #[serde(default)]
     pub(crate) groups: BTreeMap<String, String>,
     pub(crate) created_at: Timestamp,
+}
+
+/// What an upload asks for beside `environment` that shines from outside.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct StoredOutside {
+    pub(crate) sky: Option<StoredSky>,
+    pub(crate) default_sky: bool,
+    /// Degrees.
+    pub(crate) sun_angle: f32,
+}
+
+/// A picture of the sky, as it is used.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct StoredSky {
+    pub(crate) asset: String,
+    /// Degrees.
+    pub(crate) rotation: f32,
+    pub(crate) strength: f32,
 }
 
 /// A job with all that is needed to run it.

@@ -106,10 +106,10 @@ fn light_parts(light: &Light) -> (Vec3, f32) {
 
 fn add_punctual(document: &mut Document, light: &Light) -> Result<(), ExportError> {
     let (kind, position, direction, range) = match &light.kind {
-        LightKind::Emissive { .. } | LightKind::Environment => return Ok(()),
+        LightKind::Emissive { .. } | LightKind::Environment | LightKind::Sky { .. } => return Ok(()),
         LightKind::Point { position, range } => ("point", *position, Vec3::NEG_Z, *range),
         LightKind::Spot { position, direction, range, .. } => ("spot", *position, *direction, *range),
-        LightKind::Directional { direction } => ("directional", DVec3::ZERO, *direction, None),
+        LightKind::Directional { direction, .. } => ("directional", DVec3::ZERO, *direction, None),
     };
     // As for emissive factors, the parts of a colour are at most 1.
     let (color, intensity) = light_parts(light);

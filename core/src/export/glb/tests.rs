@@ -73,7 +73,7 @@ fn random_scene(seed: u64) -> Scene {
     let kinds = [
         LightKind::Point { position, range },
         LightKind::Spot { position, direction, inner_cone_angle: 0.1, outer_cone_angle: 0.7, range },
-        LightKind::Directional { direction: Vec3::Z },
+        LightKind::Directional { direction: Vec3::Z, angle: 0.0 },
     ];
     for (index, kind) in kinds.into_iter().enumerate() {
         scene = scene.with_light(Light { name: format!("Lamp {index}"), kind, color, intensity: 40.0 * random.next() });
@@ -127,7 +127,7 @@ fn assert_lights(written: &[Light], read: &[Light], seed: u64) {
             (LightKind::Emissive { object: p, material: m }, LightKind::Emissive { object: q, material: n }) => {
                 assert_eq!((p, m), (q, n), "seed {seed}");
             }
-            (LightKind::Directional { direction: d }, LightKind::Directional { direction: e }) => {
+            (LightKind::Directional { direction: d, .. }, LightKind::Directional { direction: e, .. }) => {
                 assert!(d.distance(*e) < 1e-6, "seed {seed}");
             }
             other => panic!("seed {seed}: {other:?}"),

@@ -11,7 +11,7 @@ use super::nodes::PlacedNode;
 use super::warnings::Warnings;
 use super::{LoadError, LoadLimits, LoadedObject, malformed, too_large};
 use crate::scene::names::UniqueNames;
-use crate::scene::{Light, LightKind};
+use crate::scene::{ENVIRONMENT, Light, LightKind};
 
 /// Largest strength: as edits have it.
 const MAX_STRENGTH: f32 = 1e12;
@@ -31,8 +31,7 @@ pub(super) fn collect(
     warnings: &mut Warnings,
 ) -> Result<Lights, LoadError> {
     let mut names = UniqueNames::default();
-    // The name of the light from outside.
-    names.claim("environment");
+    names.claim(ENVIRONMENT);
     let mut lights = emissive(objects, &mut names);
     let mut parents = BTreeMap::new();
     // The first of several instances stands for its node.
@@ -115,7 +114,9 @@ fn read_punctual(
     let kind = match light.type_ {
         Checked::Invalid => return Err(malformed(place, "its type is unknown")),
         Checked::Valid(Type::Point) => LightKind::Point { position, range },
-        Checked::Valid(Type::Directional) => LightKind::Directional { direction: direction_of(node, place)? },
+        Checked::Valid(Type::Directional) => {
+            LightKind::Directional { direction: direction_of(node, place)?, angle: 0.0 }
+        }
         Checked::Valid(Type::Spot) => {
             let (inner_cone_angle, outer_cone_angle) = cone(light, place, warnings)?;
             let direction = direction_of(node, place)?;

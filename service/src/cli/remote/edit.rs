@@ -162,6 +162,12 @@ mod tests {
                     "light": {"kind": "point", "position": [0.0, 2.0, 0.0], "color": [1.0, 1.0, 1.0],
                      "intensity": 40.0}}),
             ),
+            (
+                "sky a/noon.HDR --rotation -90 --strength 2",
+                json!({"op": "sky", "asset": "hash", "rotation": -90.0, "strength": 2.0}),
+            ),
+            ("sky abc", json!({"op": "sky", "asset": "abc"})),
+            ("sky --radiance 1,1,2", json!({"op": "sky", "radiance": [1.0, 1.0, 2.0]})),
             ("remove-light l", json!({"op": "remove_light", "light": "l"})),
             ("move-light l --position -1,2,0", json!({"op": "move_light", "light": "l", "position": [-1.0, 2.0, 0.0]})),
         ];

@@ -56,6 +56,21 @@ pub(super) enum Operation {
     },
     /// Add a light
     InsertLight(NewLight),
+    /// Give the scene its light from outside, instead of what it has of it
+    #[command(group(clap::ArgGroup::new("what").required(true).args(["picture", "radiance"])))]
+    Sky {
+        /// An equirectangular picture: an .exr or .hdr file, or the id of an asset
+        picture: Option<String>,
+        /// The same radiance from everywhere, linear RGB
+        #[arg(long, value_name = "R,G,B")]
+        radiance: Option<Rgb>,
+        /// Turn the picture about the vertical, counter-clockwise seen from above
+        #[arg(long, value_name = "DEGREES", allow_hyphen_values = true, requires = "picture")]
+        rotation: Option<f64>,
+        /// Factor on the radiance [default: 1]
+        #[arg(long, value_name = "FACTOR", value_parser = not_negative)]
+        strength: Option<f64>,
+    },
     /// Take a light away
     RemoveLight {
         /// Name of the light
@@ -109,6 +124,9 @@ pub(super) struct NewLight {
     /// Spot: no light beyond this angle
     #[arg(long, value_name = "DEGREES", value_parser = positive)]
     outer_cone: Option<f64>,
+    /// Directional: angle that its disc takes up [default: 0, hard shadows]
+    #[arg(long, value_name = "DEGREES", value_parser = not_negative)]
+    angle: Option<f64>,
     /// Point, spot: its light ends here [default: never]
     #[arg(long, value_name = "METRES", value_parser = positive)]
     range: Option<f64>,
@@ -157,6 +175,10 @@ impl Operation {
     pub(super) fn asset_file(&self) -> Option<PathBuf> {
         match self {
             Operation::Insert { asset, .. } if asset.to_ascii_lowercase().ends_with(".glb") => Some(asset.into()),
+            Operation::Sky { picture: Some(picture), .. } => {
+                let name = picture.to_ascii_lowercase();
+                (name.ends_with(".exr") || name.ends_with(".hdr")).then(|| picture.into())
+            }
             _ => None,
         }
     }
@@ -184,6 +206,14 @@ impl Operation {
                 json!({"op": "relight", "lights": [change]})
             }
             Operation::InsertLight(new) => json!({"op": "insert_light", "name": new.name, "light": new.json()}),
+            Operation::Sky { picture, radiance, rotation, strength } => {
+                let mut edit = json!({"op": "sky"});
+                set(&mut edit, "asset", uploaded.or_else(|| picture.clone()).map(|asset| json!(asset)));
+                set(&mut edit, "radiance", radiance.map(|rgb| json!(rgb.0)));
+                set(&mut edit, "rotation", rotation.map(|degrees| json!(degrees)));
+                set(&mut edit, "strength", strength.map(|factor| json!(factor)));
+                edit
+            }
             Operation::RemoveLight { light } => json!({"op": "remove_light", "light": light}),
             Operation::MoveLight { light, position, direction, drag } => {
                 let mut edit = json!({"op": "move_light", "light": light});
@@ -202,6 +232,7 @@ impl NewLight {
         let mut light = json!({"kind": self.kind, "color": self.color.0, "intensity": self.intensity});
         set(&mut light, "position", self.position.map(|point| json!(point.0)));
         set(&mut light, "direction", self.direction.map(|point| json!(point.0)));
+        set(&mut light, "angle", self.angle.map(|angle| json!(angle.to_radians())));
         set(&mut light, "range", self.range.map(|range| json!(range)));
         set(&mut light, "inner_cone_angle", self.inner_cone.map(|angle| json!(angle.to_radians())));
         set(&mut light, "outer_cone_angle", self.outer_cone.map(|angle| json!(angle.to_radians())));

@@ -4,8 +4,9 @@ use std::path::PathBuf;
 
 use rebake::client::types::{NewScene, Scene};
 
+use super::super::sky::SkyArgs;
 use super::super::ui;
-use super::super::values::{Rgb, positive};
+use super::super::values::positive;
 use super::{ServerArgs, interruptible, note_done, read_file, wait_for_job};
 
 const AFTER_HELP: &str = "\
@@ -31,9 +32,8 @@ pub(in super::super) struct PushArgs {
     /// What the light map holds: all light, or only what has bounced
     #[arg(long, value_parser = ["full", "indirect"])]
     mode: Option<String>,
-    /// Constant radiance from outside, linear RGB [default: black]
-    #[arg(long, value_name = "R,G,B")]
-    environment: Option<Rgb>,
+    #[command(flatten)]
+    sky: SkyArgs,
     /// Lights with layers of their own, which are relit without rays: `shared` (none yet), `each`, or groups as JSON,
     /// e.g. '{"ceiling": ["lamp-1", "lamp-2"]}' [default: shared]
     #[arg(long, value_name = "shared|each|JSON")]
@@ -50,11 +50,23 @@ pub(in super::super) struct PushArgs {
 pub(in super::super) async fn push(args: PushArgs) -> anyhow::Result<()> {
     let client = args.server.client()?;
     let glb = read_file(&args.file)?;
+    let sky = match &args.sky.sky {
+        Some(file) => {
+            let picture = read_file(file)?;
+            Some(interruptible(async { Ok(client.create_asset(picture).await?) }, "").await?)
+        }
+        None => None,
+    };
     let new = NewScene {
         name: args.name.or_else(|| NewScene::name_of(&args.file)),
         spacing: args.spacing.map(|spacing| spacing as f32),
         mode: args.mode,
-        environment: args.environment.map(|rgb| rgb.0.map(|x| x as f32)),
+        environment: args.sky.environment.map(|rgb| rgb.0.map(|x| x as f32)),
+        sky,
+        sky_rotation: args.sky.sky_rotation,
+        sky_strength: args.sky.sky_strength.map(|strength| strength as f32),
+        default_sky: args.sky.default_sky.then_some(true),
+        sun_angle: args.sky.sun_angle,
         layers: args.layers,
         bake: args.no_bake.then_some(false),
     };

@@ -94,7 +94,7 @@ mod tests {
     use jiff::Timestamp;
 
     use super::super::Store;
-    use super::super::records::{JobRecord, SceneRecord};
+    use super::super::records::{JobRecord, SceneRecord, StoredOutside};
     use super::*;
     use crate::jobs::observer::JobBudget;
     use crate::jobs::queue::{Job, JobKind, JobState, Outcome, Priority};
@@ -116,6 +116,7 @@ mod tests {
             mode: Mode::Full,
             spacing: 0.1,
             environment: None,
+            outside: StoredOutside::default(),
             max_albedo: None,
             groups: Default::default(),
             created_at,

@@ -1,0 +1,303 @@
+//! Lights as transport samples them: resolved from [`Light`]s into scene space.
+//!
+//! Most are aimed at. What comes evenly from outside is not: samples by the cosine are the best there are of it, and rays
+//! that leave the scene find it anyway. A picture of the sky is both: its even part, and its bright places.
+
+mod outside;
+mod surface;
+
+use std::f32::consts::{FRAC_1_PI, PI};
+use std::sync::Arc;
+
+use glam::Vec3;
+
+use self::outside::TurnedSky;
+pub(super) use self::surface::{Emissive, EmissiveTriangle};
+use crate::sampling::{Cone, Discrete};
+use crate::scene::{Light, LightKind};
+use crate::space::ray_offset;
+use crate::surface::SeeThrough;
+use crate::value::Value;
+
+/// Shadow rays end this part of their length before the light.
+const SHADOW_END: f32 = 1e-4;
+
+/// Where a light's rays come from.
+#[derive(Clone, Debug)]
+pub(crate) enum Shape {
+    /// Emissive triangles.
+    Surface {
+        /// Ascending by face, along a curve in space: neighbours mostly follow each other, so that inversion keeps
+        /// stratification.
+        triangles: Vec<EmissiveTriangle>,
+        /// By area.
+        choice: Discrete,
+        /// Both sides emit.
+        double_sided: bool,
+        /// Bounding sphere.
+        center: Vec3,
+        /// m.
+        radius: f32,
+        /// Least and greatest corner of the bounding box.
+        low: Vec3,
+        high: Vec3,
+        /// Area of the largest triangle, m².
+        largest: f32,
+        /// Area of all, m².
+        area: f32,
+        /// They let light through, and shine by as much less there.
+        see_through: Option<Arc<SeeThrough>>,
+    },
+    /// Point or spot: candela; `spot` holds direction, cosines of inner and outer angle.
+    Point { position: Vec3, spot: Option<(Vec3, f32, f32)>, range: Option<f32> },
+    /// Light from afar: lux; parallel, or over a disc.
+    Directional { direction: Vec3, disc: Option<Cone> },
+    /// What comes evenly from outside: the same from everywhere, or by a picture.
+    Sky(Option<TurnedSky>),
+    /// What is bright in a picture of the sky.
+    BrightSky(TurnedSky),
+}
+
+/// One light ready to be sampled.
+#[derive(Clone, Debug)]
+pub(crate) struct Emitter {
+    /// Name of the light.
+    pub name: String,
+    /// Geometry.
+    pub shape: Shape,
+    /// Radiance, candela or lux; a factor where there is a picture.
+    pub strength: Vec3,
+    /// Layer that its light is carried in; 0 where light is not told apart.
+    pub layer: u32,
+    /// How much its samples matter beside those of others at the same strength.
+    pub importance: f32,
+    /// Key of the object it belongs to, for emissive surfaces.
+    pub object: Option<u32>,
+}
+
+/// A sample of incoming light at a point, before visibility.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LightSample {
+    /// Unit direction towards the light.
+    pub direction: Vec3,
+    /// Metres; infinite for light from afar.
+    pub distance: f32,
+    /// Contribution to irradiance / π at unit strength, divided by the density of the sample.
+    pub weight: f32,
+    /// Share of it that is sent out there: places of a lamp that let light through shine by as much less.
+    pub share: f32,
+}
+
+impl LightSample {
+    /// How far before the light a shadow ray from `point` ends, metres.
+    #[inline]
+    pub(crate) fn end(&self, point: Vec3) -> f32 {
+        if self.distance.is_finite() { self.distance * SHADOW_END + ray_offset(point, self.distance) } else { 0.0 }
+    }
+}
+
+/// All lights of a world.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Emitters {
+    /// Those that are aimed at.
+    pub list: Vec<Emitter>,
+    /// By power, for paths that follow one light at a time.
+    pub choice: Option<Discrete>,
+    /// What comes evenly from outside: paths find it where they leave the scene.
+    pub skies: Vec<Emitter>,
+    /// m.
+    pub scene_radius: f32,
+}
+
+impl Emitters {
+    /// Of lights that are resolved already. `scene_radius` (m) tells the power of light from afar.
+    pub(crate) fn of(emitters: Vec<Emitter>, scene_radius: f32) -> Emitters {
+        let is_sky = |emitter: &Emitter| matches!(emitter.shape, Shape::Sky(_));
+        let (skies, list): (Vec<Emitter>, Vec<Emitter>) = emitters.into_iter().partition(is_sky);
+        let choice = Discrete::new(list.iter().map(|e| f64::from(e.power(scene_radius) * e.importance)));
+        Emitters { list, choice, skies, scene_radius }
+    }
+
+    /// Those that are aimed at, then those that are not.
+    pub(crate) fn all(&self) -> impl Iterator<Item = &Emitter> {
+        self.list.iter().chain(&self.skies)
+    }
+
+    /// Whether a ray that leaves the scene may find light.
+    #[inline]
+    pub(crate) fn has_sky(&self) -> bool {
+        self.skies.iter().any(|sky| sky.strength != Vec3::ZERO)
+    }
+
+    /// Radiance that a ray finds which leaves the scene; what is aimed at is left out.
+    #[inline]
+    pub(crate) fn sky<V: Value>(&self, direction: Vec3) -> V {
+        sky(&self.skies, direction)
+    }
+
+    /// All radiance from outside, as a camera sees it: but for discs of directional lights.
+    pub(crate) fn background(&self, direction: Vec3) -> Vec3 {
+        let radiance = |emitter: &Emitter| match &emitter.shape {
+            Shape::Sky(Some(sky)) => emitter.strength * sky.radiance(direction),
+            _ => emitter.strength,
+        };
+        self.skies.iter().map(radiance).sum()
+    }
+
+    /// Resolves lights; `triangles` gives the emissive triangles of (object name, material) and the object's key.
+    pub(crate) fn new(
+        lights: &[Light],
+        origin: glam::DVec3,
+        scene_radius: f32,
+        triangles: impl Fn(&str, u32) -> Option<Emissive>,
+    ) -> Emitters {
+        let mut emitters = Vec::new();
+        for light in lights {
+            let strength = light.strength();
+            let emitter = |shape: Shape, object: Option<u32>| {
+                let name = light.name.clone();
+                Emitter { name, shape, strength, layer: 0, importance: 1.0, object }
+            };
+            let (shape, object) = match &light.kind {
+                LightKind::Environment => (Shape::Sky(None), None),
+                LightKind::Sky { picture, rotation } => {
+                    let sky = TurnedSky::new(picture, *rotation);
+                    if sky.has_bright_places() {
+                        emitters.push(emitter(Shape::BrightSky(sky.clone()), None));
+                    }
+                    (Shape::Sky(Some(sky)), None)
+                }
+                LightKind::Emissive { object, material } => match triangles(object, *material) {
+                    Some(emissive) if !emissive.triangles.is_empty() => {
+                        let key = emissive.key;
+                        (surface::shape(emissive), Some(key))
+                    }
+                    _ => continue,
+                },
+                LightKind::Point { position, range } => {
+                    (Shape::Point { position: (*position - origin).as_vec3(), spot: None, range: *range }, None)
+                }
+                LightKind::Spot { position, direction, inner_cone_angle, outer_cone_angle, range } => {
+                    let spot = Some((*direction, inner_cone_angle.cos(), outer_cone_angle.cos()));
+                    (Shape::Point { position: (*position - origin).as_vec3(), spot, range: *range }, None)
+                }
+                LightKind::Directional { direction, angle } => {
+                    let disc = outside::disc(*direction, *angle);
+                    (Shape::Directional { direction: *direction, disc }, None)
+                }
+            };
+            emitters.push(emitter(shape, object));
+        }
+        Emitters::of(emitters, scene_radius)
+    }
+}
+
+/// The specification's window: the inverse square law, ended smoothly at `range`.
+fn attenuation(distance2: f32, range: Option<f32>) -> f32 {
+    let window = range.map_or(1.0, |r| (1.0 - (distance2 / (r * r)).powi(2)).clamp(0.0, 1.0));
+    window / distance2
+}
+
+impl Emitter {
+    /// Flux at unit-free scale, for choosing between lights only.
+    pub(crate) fn power(&self, scene_radius: f32) -> f32 {
+        let mean = self.strength.element_sum() / 3.0;
+        mean * match &self.shape {
+            Shape::Surface { triangles, double_sided, .. } => {
+                triangles.iter().map(|t| t.area).sum::<f32>() * PI * if *double_sided { 2.0 } else { 1.0 }
+            }
+            Shape::Point { .. } => 4.0 * PI,
+            Shape::Directional { .. } => PI * scene_radius * scene_radius,
+            Shape::BrightSky(sky) => sky.bright_power() * PI * scene_radius * scene_radius,
+            Shape::Sky(_) => 0.0,
+        }
+    }
+
+    /// Whether its light at a point is known from one ray.
+    pub(crate) fn is_delta(&self) -> bool {
+        matches!(self.shape, Shape::Point { .. } | Shape::Directional { disc: None, .. })
+    }
+
+    /// Whether rays that are not aimed at it can meet it.
+    pub(crate) fn is_surface(&self) -> bool {
+        matches!(self.shape, Shape::Surface { .. })
+    }
+
+    /// What its strength is multiplied by in a direction in which it was sampled.
+    #[inline]
+    pub(crate) fn tint(&self, direction: Vec3) -> Vec3 {
+        match &self.shape {
+            Shape::Sky(Some(sky)) => sky.even(direction),
+            Shape::BrightSky(sky) => sky.bright(direction),
+            Shape::Surface { .. } | Shape::Point { .. } | Shape::Directional { .. } | Shape::Sky(None) => Vec3::ONE,
+        }
+    }
+
+    /// A sphere that holds all segments' far ends; none for light from afar.
+    pub(crate) fn sphere(&self) -> Option<(Vec3, f32)> {
+        match &self.shape {
+            Shape::Surface { center, radius, .. } => Some((*center, *radius)),
+            Shape::Point { position, .. } => Some((*position, 0.0)),
+            Shape::Directional { .. } | Shape::Sky(_) | Shape::BrightSky(_) => None,
+        }
+    }
+
+    /// Samples the light's contribution to irradiance / π at `point` with unit normal `n`, at unit strength. None
+    /// where the sample brings no light.
+    #[inline]
+    pub(crate) fn sample(&self, point: Vec3, n: Vec3, u: [f32; 2]) -> Option<LightSample> {
+        match &self.shape {
+            Shape::Surface { triangles, choice, double_sided, see_through, .. } => {
+                let (sample, triangle) = surface::sample(triangles, choice, *double_sided, point, n, u)?;
+                let Some(see_through) = see_through else { return Some(sample) };
+                let share = triangle.opacity(see_through, point + sample.direction * sample.distance);
+                (share > 0.0).then_some(LightSample { share, ..sample })
+            }
+            Shape::Point { position, spot, range } => {
+                let w = *position - point;
+                let distance2 = w.length_squared();
+                let distance = distance2.sqrt();
+                let direction = w / distance;
+                let cos = n.dot(direction);
+                if cos <= 0.0 || distance <= 0.0 {
+                    return None;
+                }
+                let cone = spot.map_or(1.0, |(axis, inner, outer)| {
+                    let t = ((-direction.dot(axis) - outer) / (inner - outer).max(1e-4)).clamp(0.0, 1.0);
+                    t * t
+                });
+                let weight = cos * cone * attenuation(distance2, *range) * FRAC_1_PI;
+                (weight > 0.0).then_some(LightSample { direction, distance, weight, share: 1.0 })
+            }
+            Shape::Directional { direction, disc } => outside::sample_directional(*direction, disc.as_ref(), n, u),
+            Shape::Sky(_) => Some(outside::sample_even(n, u)),
+            Shape::BrightSky(sky) => sky.sample_bright(n, u),
+        }
+    }
+}
+
+impl Emitter {
+    /// Whether another emitter shines from the same place. Triangles are compared by the caller.
+    pub(crate) fn same_shape(&self, other: &Emitter) -> bool {
+        match (&self.shape, &other.shape) {
+            (Shape::Surface { double_sided: a, .. }, Shape::Surface { double_sided: b, .. }) => {
+                a == b && self.object == other.object
+            }
+            (Shape::Point { position: a, spot: s, range: r }, Shape::Point { position: b, spot: t, range: q }) => {
+                a == b && s == t && r == q
+            }
+            (Shape::Directional { direction: a, disc: d }, Shape::Directional { direction: b, disc: e }) => {
+                a == b && d.map(|d| d.one_minus_cos) == e.map(|e| e.one_minus_cos)
+            }
+            (Shape::Sky(None), Shape::Sky(None)) => true,
+            (Shape::Sky(Some(a)), Shape::Sky(Some(b))) | (Shape::BrightSky(a), Shape::BrightSky(b)) => a.same_as(b),
+            _ => false,
+        }
+    }
+}
+
+/// Radiance that a ray finds which leaves the scene, of some emitters that are not aimed at.
+#[inline]
+pub(crate) fn sky<V: Value>(skies: &[Emitter], direction: Vec3) -> V {
+    skies.iter().map(|sky| V::of_layer(sky.layer, sky.strength * sky.tint(direction))).sum()
+}
