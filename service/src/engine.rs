@@ -14,7 +14,7 @@ pub use rebake_core::scene::{LoadError, Scene};
 pub use rebake_core::surface::SurfaceError;
 pub use rebake_core::{
     Budget, Canceled, DragBasis, Edit, EditError, EditErrorKind, Focus, Importance, LightMap, Observer, Pass, Progress,
-    Relight, TileMode, Tiles,
+    Relight, Snapshot, TileMode, Tiles,
 };
 pub use rebake_core::{Stated, Transition, World, WorldError};
 

@@ -29,4 +29,5 @@ mod render;
 mod scenes;
 mod server;
 mod shutdown;
+mod target;
 mod tiles;
