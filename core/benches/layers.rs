@@ -19,8 +19,8 @@ use std::time::Instant;
 use glam::{DMat4, DVec3, Vec3};
 use rebake_core::scene::{LightKind, LoadLimits, Material, Mesh, Object, Scene, load};
 use rebake_core::{
-    Budget, DragBasis, Edit, LightMap, Observer, Pass, Progress, Relight, Snapshot, Unobserved, World, WorldOptions,
-    bake, update,
+    Budget, DragBasis, Edit, LightMap, Observer, Progress, Relight, Snapshot, Unobserved, World, WorldOptions, bake,
+    update,
 };
 
 /// Runs of each; the median counts.
