@@ -17,7 +17,7 @@ use std::sync::{Arc, Mutex};
 
 use rebake::bench::{Mode, Reference};
 use rebake_core::paper::{PaperOptions, paper_update};
-use rebake_core::{Budget, LightMap, Observer, Progress, Transition, Unobserved, bake, update};
+use rebake_core::{Budget, LightMap, Observer, Progress, Snapshot, Transition, Unobserved, bake, update};
 
 use cases::HardCase;
 
@@ -35,7 +35,7 @@ struct Effort {
 struct Rays(Mutex<u64>);
 
 impl Observer for Rays {
-    fn snapshot(&self, _: &Arc<LightMap>, progress: &Progress) {
+    fn snapshot(&self, _: &Arc<LightMap>, _: Snapshot, progress: &Progress) {
         *self.0.lock().expect("nobody panics") = progress.rays;
     }
 }

@@ -19,7 +19,8 @@ use std::time::Instant;
 use glam::{DMat4, DVec3, Vec3};
 use rebake_core::scene::{LightKind, LoadLimits, Material, Mesh, Object, Scene, load};
 use rebake_core::{
-    Budget, DragBasis, Edit, LightMap, Observer, Pass, Progress, Relight, Unobserved, World, WorldOptions, bake, update,
+    Budget, DragBasis, Edit, LightMap, Observer, Progress, Relight, Snapshot, Unobserved, World, WorldOptions, bake,
+    update,
 };
 
 /// Runs of each; the median counts.
@@ -118,11 +119,7 @@ impl Observer for First {
         self.wants_estimates
     }
 
-    fn estimate(&self, map: &Arc<LightMap>, _: &Progress) {
-        self.snapshot(map, &Progress::at_once(Pass::Direct, 0, None));
-    }
-
-    fn snapshot(&self, map: &Arc<LightMap>, _: &Progress) {
+    fn snapshot(&self, map: &Arc<LightMap>, _: Snapshot, _: &Progress) {
         self.shown.lock().expect("one thread").push((self.start.elapsed().as_secs_f64(), map.clone()));
     }
 }

@@ -13,7 +13,8 @@ use std::time::Instant;
 use glam::{DMat4, DVec3, Vec3};
 use rebake_core::scene::{Material, Mesh, Object, Scene};
 use rebake_core::{
-    Budget, Edit, Focus, Importance, LightMap, Observer, Progress, Unobserved, World, WorldOptions, bake, update,
+    Budget, Edit, Focus, Importance, LightMap, Observer, Progress, Snapshot, Unobserved, World, WorldOptions, bake,
+    update,
 };
 
 const RUNS: usize = 7;
@@ -87,7 +88,7 @@ struct First {
 }
 
 impl Observer for First {
-    fn snapshot(&self, _: &Arc<LightMap>, _: &Progress) {
+    fn snapshot(&self, _: &Arc<LightMap>, _: Snapshot, _: &Progress) {
         self.seconds.lock().expect("no thread panics").get_or_insert(self.start.elapsed().as_secs_f64());
     }
 }

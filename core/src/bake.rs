@@ -11,7 +11,7 @@ use crate::ambient::with_ambient;
 use crate::estimate::Estimate;
 use crate::focus::Focus;
 use crate::importance::Importance;
-use crate::job::{Budget, Canceled, Observer, Pass, Progress};
+use crate::job::{Budget, Canceled, Observer, Pass, Progress, Snapshot};
 use crate::layers::{Apart, Computed, Header, Stack, groups_of, weights_of, weights_within};
 use crate::lightmap::LightMap;
 use crate::random::subseed;
@@ -185,8 +185,9 @@ impl<'a> Baker<'a> {
         let stack = with_ambient(self.world, direct, self.weights.len(), self.seed, self.work)?;
         let round_samples = round.samples;
         let rays = self.work.rays();
-        observer.estimate(
+        observer.snapshot(
             &Arc::new(finish(Apart::of_stack(&stack, self.weights.len()))),
+            Snapshot::Estimate,
             &Progress { round_samples, rays, ..Progress::nothing(Pass::Direct) },
         );
         Ok(())

@@ -70,6 +70,21 @@ impl Progress {
     }
 }
 
+/// What a light map that a job shows holds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Snapshot {
+    /// A first picture of a bake, before its first round is done: direct light, and one ambient term per layer for all
+    /// light that has not been distributed yet. To be shown, and nothing else: what the bake gives does not depend on it.
+    Estimate,
+    /// New light where it comes first ([`crate::Importance`]), old light elsewhere. Nothing is to start from it.
+    Partial,
+    /// Light that is right for the scene everywhere.
+    Complete {
+        /// Its area-weighted RMSE (irradiance / π) as its variance tells it; none where nothing is known of that yet.
+        stated: Option<f32>,
+    },
+}
+
 /// The caller's side of a running job. Called from the thread that runs the job, [`Observer::canceled`] from all.
 pub trait Observer: Sync {
     /// Asked at every tile: true ends the work with [`Canceled`].
@@ -92,18 +107,13 @@ pub trait Observer: Sync {
         false
     }
 
-    /// Whether [`Observer::estimate`] is of use; else nothing is computed for it.
+    /// Whether a [`Snapshot::Estimate`] is of use; else nothing is computed for it.
     fn wants_estimates(&self) -> bool {
         false
     }
 
-    /// A first picture of a bake, before its first round is done: direct light, and one ambient term per layer for all
-    /// light that has not been distributed yet. It is to be shown, and nothing else: what the bake gives does not
-    /// depend on it.
-    fn estimate(&self, _map: &Arc<LightMap>, _progress: &Progress) {}
-
-    /// A consistent light map, better than the one before. Cheap: the map is shared.
-    fn snapshot(&self, _map: &Arc<LightMap>, _progress: &Progress) {}
+    /// A consistent light map, better than the one before, and what it holds. Cheap: the map is shared.
+    fn snapshot(&self, _map: &Arc<LightMap>, _snapshot: Snapshot, _progress: &Progress) {}
 }
 
 /// The work was ended by [`Observer::canceled`]; the last snapshot is still good.

@@ -47,7 +47,7 @@ pub use drag::DragBasis;
 pub use edit::{Edit, EditError, EditErrorKind, Relight};
 pub use focus::Focus;
 pub use importance::{Importance, TileMode, Tiles};
-pub use job::{Budget, Canceled, Observer, Pass, Progress, Unobserved};
+pub use job::{Budget, Canceled, Observer, Pass, Progress, Snapshot, Unobserved};
 pub use lightmap::LightMap;
 pub use memory::keep_freed_memory;
 pub use refine::refine;

@@ -6,7 +6,7 @@ use crate::accumulate::Accumulator;
 use crate::estimate::Estimate;
 use crate::focus::Focus;
 use crate::importance::Importance;
-use crate::job::{Budget, Canceled, Pass, Progress};
+use crate::job::{Budget, Canceled, Pass, Progress, Snapshot};
 use crate::layers::Stack;
 use crate::lightmap::LightMap;
 use crate::random::subseed;
@@ -40,6 +40,16 @@ pub(crate) enum Phase {
     /// The whole map behind such a part: at least one sample is taken, whatever the observer plans, because a map of
     /// old and new values must not stay.
     Rest,
+}
+
+impl Phase {
+    /// What a map of this phase holds.
+    fn snapshot(self, stated: Option<f32>) -> Snapshot {
+        match self {
+            Phase::Part => Snapshot::Partial,
+            Phase::Whole | Phase::Rest => Snapshot::Complete { stated },
+        }
+    }
 }
 
 /// How far a computation goes, and where first.
@@ -212,7 +222,7 @@ impl Rounds<'_> {
                 estimated_rmse,
             };
             observer.progress(&done);
-            observer.snapshot(&map, &done);
+            observer.snapshot(&map, phase.snapshot(estimated_rmse), &done);
             let reached = matches!((budget.target_rmse, estimated_rmse), (Some(target), Some(rmse)) if rmse <= target);
             // A guess ends nothing.
             let enough = reached && sum.knows_variance() || enough(&sum);

@@ -139,6 +139,8 @@ pub struct Timeouts {
     pub progress: Duration,
     /// Between two saves of the light of a job that runs.
     pub save: Duration,
+    /// How long work towards a scene's target goes on at a time while another scene waits.
+    pub share: Duration,
 }
 
 /// What a client gets that does not ask for anything else.
@@ -218,6 +220,7 @@ impl Default for Timeouts {
             write: Duration::from_secs(60),
             progress: Duration::from_millis(100),
             save: Duration::from_secs(10),
+            share: Duration::from_secs(1),
         }
     }
 }

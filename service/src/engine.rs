@@ -15,7 +15,7 @@ pub(crate) use rebake_core::scene::{Outside, SkyPicture};
 pub use rebake_core::surface::SurfaceError;
 pub use rebake_core::{
     Budget, Canceled, DragBasis, Edit, EditError, EditErrorKind, Focus, Importance, LightMap, Observer, Pass, Progress,
-    Relight, TileMode, Tiles,
+    Relight, Snapshot, TileMode, Tiles,
 };
 pub use rebake_core::{Stated, Transition, World, WorldError};
 

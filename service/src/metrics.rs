@@ -97,7 +97,8 @@ impl Metrics {
     /// Counts an answer.
     pub(crate) fn answered(&self, method: &str, route: &str, status: u16, seconds: f64) {
         // Methods are the client's to invent.
-        let method = if matches!(method, "GET" | "POST" | "DELETE" | "HEAD" | "OPTIONS") { method } else { "other" };
+        let method =
+            if matches!(method, "GET" | "POST" | "PATCH" | "DELETE" | "HEAD" | "OPTIONS") { method } else { "other" };
         let route = Route { method: method.to_owned(), route: route.to_owned(), status };
         self.requests.get_or_create(&route).inc();
         self.request_seconds.observe(seconds);

@@ -11,7 +11,7 @@ use jiff::Timestamp;
 
 use crate::api::{edit_parse, skies};
 use crate::engine::{self, Edit, World};
-use crate::jobs::observer::JobBudget;
+use crate::jobs::budget::JobBudget;
 use crate::jobs::queue::{JobKind, JobState, Outcome, Priority};
 use crate::jobs::{JobSpec, new_record};
 use crate::mode::Mode;
@@ -237,6 +237,7 @@ fn damaged(app: &App, saved: &SavedScene, error: &StoreError) -> SceneEntry {
         outside: StoredOutside::default(),
         max_albedo: None,
         groups: BTreeMap::new(),
+        target: None,
         created_at: Timestamp::UNIX_EPOCH,
     });
     let mode = record.mode;
@@ -253,6 +254,7 @@ fn describe(app: &App, saved: &SavedScene, record: SceneRecord, reserved: u64, e
         id: app.ids.scene(saved.number),
         name: record.name,
         mode: record.mode,
+        target: record.target,
         created_at: record.created_at,
         first_event: app.first_event,
         reserved,
@@ -290,22 +292,15 @@ fn bake_again(app: &Arc<App>, scene: &Arc<SceneEntry>) {
         return;
     }
     let mut head = scene.head.blocking_lock();
-    let budget =
-        JobBudget { samples_per_element: app.config.defaults.bake_samples, max_seconds: None, target_rmse: None };
+    let samples_per_element = app.config.defaults.bake_samples;
+    let default = JobBudget { samples_per_element, max_seconds: None, target_rmse: None };
+    let budget = scene.target().unwrap_or(default);
     let mut jobs = head.jobs;
     let seed = crate::api::next_seed(app.config.seed, &mut jobs);
     let sequence = head.sequence;
-    let spec = JobSpec {
-        kind: JobKind::Bake,
-        priority: Priority::Normal,
-        budget,
-        importance: engine::Importance::default(),
-        dragged: Vec::new(),
-        seed,
-        sequence,
-    };
+    let spec = JobSpec::new(budget, seed, sequence);
     let Ok(ticket) = app.ticket(scene.number) else { return };
-    let record = new_record(ticket.number, scene, &spec);
+    let record = new_record(ticket.number, scene, (JobKind::Bake, Priority::Normal), spec);
     let accepted = crate::store::records::Accepted { scene: scene.number, edit: None, job: &record, key: None, jobs };
     match app.store.accepted(&accepted) {
         Ok(()) => {
@@ -345,6 +340,7 @@ mod tests {
                 outside: StoredOutside::default(),
                 groups: BTreeMap::new(),
                 max_albedo: None,
+                target: None,
                 created_at: Timestamp::now(),
             };
             disk.scene_created(number, &record, &glb, None).unwrap();

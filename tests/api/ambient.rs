@@ -4,7 +4,7 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::time::Duration;
 
 use glam::Vec3;
-use rebake::engine::{Budget, Canceled, CoreEngine, Engine, LightMap, Observer, Progress, World};
+use rebake::engine::{Budget, Canceled, CoreEngine, Engine, LightMap, Observer, Progress, Snapshot, World};
 use rebake_core::Unobserved;
 use rebake_core::delta::Frame;
 
@@ -41,16 +41,15 @@ impl Observer for Behind<'_> {
         self.1.wants_estimates()
     }
 
-    fn estimate(&self, map: &Arc<LightMap>, progress: &Progress) {
-        self.1.estimate(map, progress);
+    fn snapshot(&self, map: &Arc<LightMap>, snapshot: Snapshot, progress: &Progress) {
+        self.1.snapshot(map, snapshot, progress);
+        if snapshot != Snapshot::Estimate {
+            return;
+        }
         let mut is_let_go = self.0.is_let_go.lock().unwrap();
         while !*is_let_go && !self.canceled() {
             (is_let_go, _) = self.0.let_go.wait_timeout(is_let_go, Duration::from_millis(5)).unwrap();
         }
-    }
-
-    fn snapshot(&self, map: &Arc<LightMap>, progress: &Progress) {
-        self.1.snapshot(map, progress);
     }
 }
 

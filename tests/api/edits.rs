@@ -1,5 +1,6 @@
 //! Edits: what is accepted, what is refused, and in what order things take effect.
 
+use futures_util::future::join_all;
 use serde_json::{Value, json};
 
 use super::engine::Step;
@@ -203,18 +204,18 @@ async fn bodies_that_are_no_edits_are_refused() {
 #[tokio::test]
 async fn queued_edits_are_checked_against_each_other() {
     let (server, script) = Server::scripted().await;
-    let scene = server.room("").await;
+    let (scene, _hold) = server.held_room(&script).await;
     let asset = server.crate_asset().await;
     let insert = json!({ "op": "insert", "asset": asset, "name": "a", "transform": translation(2.0, 0.01, 2.0) });
     let path = format!("{}/edits", path_of(&scene));
-    // The bake runs: nothing of this is published yet.
+    // Another edit is being lit: nothing of this is published yet.
     server.edit(&scene, &insert).await;
     server.post_json(&path, &insert).await.problem(409, "name-taken");
     server.edit(&scene, &json!({ "op": "move", "object": "a", "transform": translation(3.0, 0.01, 2.0) })).await;
     let last = server.edit(&scene, &json!({ "op": "remove", "objects": ["a"] })).await;
     server.post_json(&path, &json!({ "op": "remove", "objects": ["a"] })).await.problem(422, "unknown-object");
     let now = server.get(&path_of(&scene)).await.json(200);
-    assert_eq!(now["unlit_edits"], 3);
+    assert_eq!(now["unlit_edits"], 4);
     assert_eq!(now["objects"].as_array().unwrap().len(), 2);
     script.run(&[Step::Round, Step::Finish].repeat(4));
     assert_eq!(server.end_of(&last).await["state"], "succeeded");
@@ -243,7 +244,7 @@ async fn an_idempotency_key_makes_one_job() {
     let paint = json!({ "op": "material", "object": "room", "albedo": [0.1, 0.1, 0.1] }).to_string();
     let headers = key("k3");
     let posts = (0..10).map(|_| server.post_text(&path, &paint, &headers));
-    let answers = futures_util::future::join_all(posts).await;
+    let answers = join_all(posts).await;
     let ids: std::collections::HashSet<String> =
         answers.iter().map(|answer| answer.json(202)["id"].to_string()).collect();
     assert_eq!(ids.len(), 1);
@@ -253,27 +254,55 @@ async fn an_idempotency_key_makes_one_job() {
 }
 
 #[tokio::test]
-async fn if_match_names_the_version() {
+async fn if_match_names_the_accepted_edits_whatever_the_light_does() {
     let (server, script) = Server::scripted().await;
     let scene = server.room("").await;
-    script.run(&[Step::Round, Step::Finish]);
-    server.end_of(scene["current_job"].as_str().unwrap()).await;
-    let version = server.get(&path_of(&scene)).await.header("etag").to_owned();
-    assert_eq!(version, "\"1\"");
+    let tag = async || server.get(&path_of(&scene)).await.header("etag").to_owned();
     let path = format!("{}/edits", path_of(&scene));
     let paint = json!({ "op": "material", "object": "room", "albedo": [0.1, 0.1, 0.1] }).to_string();
-    for wrong in ["\"0\"", "\"2\"", "W/\"1\"", "\"01\""] {
-        server.post_text(&path, &paint, &[("if-match", wrong)]).await.problem(412, "precondition-failed");
+    assert_eq!(tag().await, "\"0\"");
+    script.run(&[Step::Round; 3]);
+    server.client.follow(scene["id"].as_str().unwrap()).reach(3).await.unwrap();
+    assert_eq!(tag().await, "\"0\"", "versions of the light map do not count");
+    for wrong in ["\"3\"", "\"1\"", "W/\"0\"", "\"00\""] {
+        let answer = server.post_text(&path, &paint, &[("if-match", wrong)]).await;
+        let detail = answer.problem(412, "precondition-failed");
+        assert!(detail.contains("accepted 0 edits") && detail.contains("not with the light map's version"), "{detail}");
     }
-    for bad in ["1", "\"1", ""] {
+    for bad in ["0", "\"0", ""] {
         server.post_text(&path, &paint, &[("if-match", bad)]).await.problem(400, "bad-request");
     }
-    let job = server.post_text(&path, &paint, &[("if-match", "\"1\"")]).await.json(202);
-    // Its geometry makes version 2, and the script holds it there.
-    server.until(job["id"].as_str().unwrap(), |job| job["state"] == "running").await;
-    server.client.follow(scene["id"].as_str().unwrap()).reach(2).await.unwrap();
-    for right in ["\"2\"", "*", "\"7\", \"2\""] {
-        server.post_text(&path, &paint, &[("if-match", right)]).await.json(202);
+    let answer = server.post_text(&path, &paint, &[("if-match", "\"0\""), ("idempotency-key", "k")]).await;
+    assert_eq!((&answer.json(202)["accepted_edits"], answer.header("etag")), (&json!(1), "\"1\""));
+    assert_eq!(tag().await, "\"1\"");
+    // What changes nothing is no new state, and neither is a request that came before.
+    for right in ["\"1\"", "*", "\"7\", \"1\""] {
+        let answer = server.post_text(&path, &json!({ "edits": [] }).to_string(), &[("if-match", right)]).await;
+        assert_eq!((&answer.json(202)["accepted_edits"], answer.header("etag")), (&json!(1), "\"1\""));
+    }
+    let again = server.post_text(&path, &paint, &[("if-match", "\"0\""), ("idempotency-key", "k")]).await;
+    assert_eq!((&again.json(202)["id"], again.header("etag")), (&answer.json(202)["id"], "\"1\""));
+    assert_eq!(server.get(&path_of(&scene)).await.json(200)["accepted_edits"], 1);
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn of_parallel_edits_of_one_state_one_wins() {
+    let (server, _script) = Server::scripted().await;
+    let scene = server.room("").await;
+    let path = format!("{}/edits", path_of(&scene));
+    for state in 0..3 {
+        let tag = format!("\"{state}\"");
+        let paint = |shade: u32| {
+            json!({ "op": "material", "object": "room", "albedo": [0.1, 0.1, f64::from(shade) / 10.0] }).to_string()
+        };
+        let bodies: Vec<String> = (0..8).map(paint).collect();
+        let headers = [("if-match", tag.as_str())];
+        let answers = join_all(bodies.iter().map(|body| server.post_text(&path, body, &headers))).await;
+        let (won, lost): (Vec<_>, Vec<_>) = answers.iter().partition(|answer| answer.status == 202);
+        assert_eq!((won.len(), lost.len()), (1, 7));
+        assert_eq!(won[0].header("etag"), format!("\"{}\"", state + 1));
+        lost.iter().for_each(|answer| drop(answer.problem(412, "precondition-failed")));
     }
     server.stop().await;
 }

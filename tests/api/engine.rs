@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use glam::Vec3;
-use rebake::engine::{Budget, Canceled, Engine, LightMap, Observer, Progress, Update, World};
+use rebake::engine::{Budget, Canceled, Engine, LightMap, Observer, Progress, Snapshot, Update, World};
 use rebake_core::Pass;
 
 /// What the job that runs does next.
@@ -73,7 +73,7 @@ impl Scripted {
             progress.rays += 1000;
             progress.estimated_rmse = Some(1.0 / progress.samples_per_element as f32);
             map = Arc::new(values(world, &map, seed, progress.samples_per_element));
-            observer.snapshot(&map, &progress);
+            observer.snapshot(&map, Snapshot::Complete { stated: progress.estimated_rmse }, &progress);
         }
     }
 }
@@ -170,7 +170,7 @@ impl Engine for Scripted {
             better.variance = map.variance.iter().map(|variance| variance / 4.0).collect();
             map = Arc::new(better);
             progress.estimated_rmse = Some(map.estimated_rmse(world.areas()));
-            observer.snapshot(&map, &progress);
+            observer.snapshot(&map, Snapshot::Complete { stated: progress.estimated_rmse }, &progress);
         }
     }
 }

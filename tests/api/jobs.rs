@@ -26,22 +26,21 @@ fn id(job: &Value) -> &str {
 #[tokio::test]
 async fn one_job_of_a_scene_at_a_time_and_the_rest_wait_in_order() {
     let (server, script) = Server::scripted().await;
-    let scene = server.room("").await;
-    let bake = scene["current_job"].as_str().unwrap().to_owned();
+    let (scene, hold) = server.held_room(&script).await;
     let edits = [server.edit(&scene, &paint(0.1)).await, server.edit(&scene, &dim(9.0)).await];
     let states = async || {
         let jobs = server.get(&format!("/v1/jobs?scene={}", id(&scene))).await.json(200);
         let jobs = jobs["items"].as_array().unwrap().clone();
         jobs.iter()
+            .take(3)
             .map(|job| format!("{} {}", job["id"].as_str().unwrap(), job["state"].as_str().unwrap()))
             .collect::<Vec<_>>()
     };
     let line = |job: &str, state: &str| format!("{job} {state}");
-    server.until(&bake, |job| job["state"] == "running").await;
-    assert_eq!(states().await, [line(&edits[1], "queued"), line(&edits[0], "queued"), line(&bake, "running")]);
+    assert_eq!(states().await, [line(&edits[1], "queued"), line(&edits[0], "queued"), line(&hold, "running")]);
     script.run(&[Step::Round, Step::Finish]);
     server.until(&edits[0], |job| job["state"] == "running").await;
-    assert_eq!(states().await, [line(&edits[1], "queued"), line(&edits[0], "running"), line(&bake, "succeeded")]);
+    assert_eq!(states().await, [line(&edits[1], "queued"), line(&edits[0], "running"), line(&hold, "succeeded")]);
     let queued = server.get("/v1/jobs?state=queued").await.json(200);
     assert_eq!(queued["items"].as_array().unwrap().len(), 1);
     script.run(&[Step::Finish, Step::Finish]);
@@ -79,15 +78,14 @@ async fn progress_never_falls_and_versions_rise() {
 #[tokio::test]
 async fn a_canceled_queued_edit_stays_and_is_lit_by_the_next_job() {
     let (server, script) = Server::scripted().await;
-    let scene = server.room("").await;
-    let bake = scene["current_job"].as_str().unwrap();
+    let (scene, hold) = server.held_room(&script).await;
     let first = server.edit(&scene, &json!({ "op": "remove", "objects": ["cupboard"] })).await;
     let canceled = server.delete(&format!("/v1/jobs/{first}")).await.json(200);
     assert_eq!(canceled["state"], "canceled");
     server.delete(&format!("/v1/jobs/{first}")).await.problem(409, "job-ended");
     let mut events = server.client.scene_events(id(&scene), None).await.unwrap();
     script.run(&[Step::Round, Step::Finish]);
-    server.end_of(bake).await;
+    server.end_of(&hold).await;
     // No job of this scene is left: its geometry is shown all the same, with old light.
     loop {
         let (kind, _, data) = super::server::next_event(&mut events).await.unwrap();
@@ -167,21 +165,24 @@ async fn a_panicking_job_fails_and_the_service_lives_on() {
 async fn scenes_run_side_by_side_and_take_turns() {
     let (server, script) = Server::scripted_with(|config| config.job_slots = 2).await;
     let scenes = join_all((0..3).map(|_| server.room(""))).await;
-    let bakes: Vec<&str> = scenes.iter().map(|scene| scene["current_job"].as_str().unwrap()).collect();
-    server.edit(&scenes[0], &paint(0.1)).await;
-    server.until(bakes[0], |_| true).await;
+    script.run(&[Step::Round, Step::Finish].repeat(3));
+    join_all(scenes.iter().map(|scene| server.end_of(scene["current_job"].as_str().unwrap()))).await;
+    let edits = join_all(scenes.iter().map(|scene| {
+        let server = &server;
+        async move { server.edit(scene, &paint(0.1)).await }
+    }))
+    .await;
+    let second = server.edit(&scenes[0], &dim(9.0)).await;
+    server.until(&edits[0], |_| true).await;
     let running = server.get("/v1/jobs?state=running").await.json(200);
     assert_eq!(running["items"].as_array().unwrap().len(), 2);
     script.run(&[Step::Round, Step::Finish].repeat(4));
-    let ends = join_all(bakes.iter().map(|bake| server.end_of(bake))).await;
+    let ends = join_all(edits.iter().map(|edit| server.end_of(edit))).await;
     assert!(ends.iter().all(|job| job["state"] == "succeeded"));
-    // The third scene's first job began before the first scene's second one.
-    let jobs = server.get("/v1/jobs").await.json(200);
+    // The third scene's first edit began before the first scene's second one.
     let started = |job: &Value| job["started_at"].as_str().map(str::to_owned);
-    let edit = jobs["items"].as_array().unwrap().iter().find(|job| job["kind"] == "edit").unwrap();
-    let edit = server.end_of(id(edit)).await;
-    let last_bake = ends.iter().filter_map(started).max().unwrap();
-    assert!(started(&edit).unwrap() >= last_bake);
+    let second = server.end_of(&second).await;
+    assert!(started(&second) >= ends.iter().map(started).max().unwrap());
     server.stop().await;
 }
 
@@ -192,9 +193,7 @@ async fn queues_and_memory_of_jobs_are_bounded() {
         config.limits.finished_jobs = 2;
     })
     .await;
-    let scene = server.room("").await;
-    let bake = scene["current_job"].as_str().unwrap();
-    server.until(bake, |job| job["state"] == "running").await;
+    let (scene, hold) = server.held_room(&script).await;
     server.edit(&scene, &paint(0.1)).await;
     let last = server.edit(&scene, &dim(9.0)).await;
     let refused = server.post_json(&format!("{}/edits", path_of(&scene)), &paint(0.3)).await;
@@ -202,7 +201,7 @@ async fn queues_and_memory_of_jobs_are_bounded() {
     assert_eq!(refused.header("retry-after"), "1");
     script.run(&[Step::Round, Step::Finish].repeat(3));
     server.end_of(&last).await;
-    server.get(&format!("/v1/jobs/{bake}")).await.problem(404, "unknown-job");
+    server.get(&format!("/v1/jobs/{hold}")).await.problem(404, "unknown-job");
     let jobs = server.get("/v1/jobs?limit=1").await.json(200);
     assert_eq!(jobs["items"][0]["id"], last);
     let rest = server.get(&format!("/v1/jobs?cursor={}", jobs["next_cursor"].as_str().unwrap())).await.json(200);
@@ -232,9 +231,7 @@ async fn the_same_calls_give_the_same_bits() {
 #[tokio::test]
 async fn moves_that_queue_up_are_lit_as_one() {
     let (server, script) = Server::scripted().await;
-    let scene = server.room("").await;
-    let bake = scene["current_job"].as_str().unwrap();
-    server.until(bake, |job| job["state"] == "running").await;
+    let (scene, _hold) = server.held_room(&script).await;
     let mut moves = Vec::new();
     for x in 1..=5 {
         moves.push(server.edit(&scene, &move_cupboard(0.1 * f64::from(x))).await);
@@ -267,9 +264,7 @@ async fn moves_that_queue_up_are_lit_as_one() {
 async fn what_comes_and_goes_while_it_waits_needs_no_light() {
     let (server, script) = Server::scripted().await;
     let asset = server.crate_asset().await;
-    let scene = server.room("").await;
-    let bake = scene["current_job"].as_str().unwrap();
-    server.until(bake, |job| job["state"] == "running").await;
+    let (scene, _hold) = server.held_room(&script).await;
     let at = super::glb::translation(2.0, 0.01, 2.0);
     let insert = json!({ "op": "insert", "asset": asset, "name": "a", "transform": at });
     let insert = server.edit(&scene, &insert).await;
@@ -292,9 +287,7 @@ async fn what_comes_and_goes_while_it_waits_needs_no_light() {
 #[tokio::test]
 async fn a_canceled_job_lets_go_of_those_merged_into_it() {
     let (server, script) = Server::scripted().await;
-    let scene = server.room("").await;
-    let bake = scene["current_job"].as_str().unwrap();
-    server.until(bake, |job| job["state"] == "running").await;
+    let (scene, _hold) = server.held_room(&script).await;
     let first = server.edit(&scene, &move_cupboard(0.1)).await;
     let second = server.edit(&scene, &move_cupboard(0.2)).await;
     script.run(&[Step::Round, Step::Finish]);

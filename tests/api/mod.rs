@@ -30,4 +30,5 @@ mod scenes;
 mod server;
 mod shutdown;
 mod skies;
+mod target;
 mod tiles;

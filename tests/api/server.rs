@@ -9,7 +9,7 @@ use serde_json::Value;
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 
-use super::engine::{Script, Scripted};
+use super::engine::{Script, Scripted, Step};
 use super::glb;
 
 /// Longer than anything a test waits for.
@@ -78,6 +78,8 @@ impl Server {
         let server = Server::with(|config| {
             config.engine = engine;
             config.timeouts.progress = Duration::ZERO;
+            // Turns end when the script says so.
+            config.timeouts.share = Duration::from_secs(3600);
             change(config);
         });
         (server.await, script)
@@ -180,6 +182,16 @@ impl Server {
     /// Waits for a job's end.
     pub(crate) async fn end_of(&self, job: &str) -> Value {
         self.until(job, |job| ["succeeded", "failed", "canceled"].iter().any(|end| job["state"] == *end)).await
+    }
+
+    /// A room whose bake is done, with an edit that runs until the script lets it go; answers the edit's job too.
+    pub(crate) async fn held_room(&self, script: &Script) -> (Value, String) {
+        script.run(&[Step::Round, Step::Finish]);
+        let scene = self.baked_room("").await;
+        let dim = serde_json::json!({ "op": "relight", "lights": [{ "light": "lamp", "intensity": 7 }] });
+        let hold = self.edit(&scene, &dim).await;
+        self.until(&hold, |job| job["state"] == "running").await;
+        (scene, hold)
     }
 
     /// Lets the bake of a new scene run to its end.

@@ -13,9 +13,9 @@ async fn a_stop_cancels_jobs_and_ends_streams_cleanly() {
     let (mut server, script) = Server::scripted().await;
     let scene = server.room("?samples_per_element=4000").await;
     let bake = scene["current_job"].as_str().unwrap();
-    let edit = server.edit(&scene, &json!({ "op": "remove", "objects": ["cupboard"] })).await;
     script.run(&[Step::Round]);
     server.until(bake, |job| job["progress"]["version"] == 1).await;
+    let edit = server.edit(&scene, &json!({ "op": "remove", "objects": ["cupboard"] })).await;
     let mut of_bake = server.client.job_events(bake, None).await.unwrap();
     let mut of_edit = server.client.job_events(&edit, None).await.unwrap();
     let mut of_scene = server.client.scene_events(scene["id"].as_str().unwrap(), None).await.unwrap();

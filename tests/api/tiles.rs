@@ -83,6 +83,7 @@ async fn an_edit_without_tiles_keeps_its_samples() {
     let scene = server.room("").await;
     use super::engine::Step::{Finish, Round};
     script.run(&[Round, Finish]);
+    server.end_of(scene["current_job"].as_str().unwrap()).await;
     let paint = |albedo: f64, tiles: Option<Value>| {
         let mut edit = json!({ "op": "material", "object": "cupboard", "albedo": [albedo, albedo, albedo] });
         tiles.into_iter().for_each(|tiles| edit["tiles"] = tiles);

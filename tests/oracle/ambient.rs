@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex};
 
 use glam::{DVec3, Vec3};
 use rebake_core::scene::{LightKind, Material, Mesh, Object};
-use rebake_core::{Budget, Edit, LightMap, Observer, Progress, Unobserved, World, bake};
+use rebake_core::{Budget, Edit, LightMap, Observer, Progress, Snapshot, Unobserved, World, bake};
 
 use super::scenes::{room_objects, world};
 use super::statistics::{area_mean, assert_agrees, replicate};
@@ -22,13 +22,11 @@ impl Observer for Shown {
         true
     }
 
-    fn estimate(&self, map: &Arc<LightMap>, progress: &Progress) {
-        assert_eq!((progress.samples_per_element, progress.estimated_rmse), (0, None));
-        self.0.lock().unwrap().push((true, map.clone()));
-    }
-
-    fn snapshot(&self, map: &Arc<LightMap>, _: &Progress) {
-        self.0.lock().unwrap().push((false, map.clone()));
+    fn snapshot(&self, map: &Arc<LightMap>, snapshot: Snapshot, progress: &Progress) {
+        let is_estimate = snapshot == Snapshot::Estimate;
+        assert_eq!(is_estimate, progress.estimated_rmse.is_none());
+        assert_eq!(is_estimate, progress.samples_per_element == 0);
+        self.0.lock().unwrap().push((is_estimate, map.clone()));
     }
 }
 

@@ -174,7 +174,7 @@ fn objects_without_triangles_can_be_edited() {
 fn lights_that_all_change_alike_need_no_ray() {
     struct Rays(std::sync::atomic::AtomicU64);
     impl rebake_core::Observer for Rays {
-        fn snapshot(&self, _: &Arc<LightMap>, progress: &rebake_core::Progress) {
+        fn snapshot(&self, _: &Arc<LightMap>, _: rebake_core::Snapshot, progress: &rebake_core::Progress) {
             self.0.store(progress.rays, std::sync::atomic::Ordering::Relaxed);
         }
     }

@@ -5,7 +5,8 @@ use std::sync::{Arc, Mutex};
 use glam::{DMat4, DVec3, Vec3};
 use rebake_core::scene::{LightKind, Scene};
 use rebake_core::{
-    Budget, Edit, Focus, Importance, LightMap, Observer, Progress, Transition, Unobserved, World, bake, update,
+    Budget, Edit, Focus, Importance, LightMap, Observer, Progress, Snapshot, Transition, Unobserved, World, bake,
+    update,
 };
 
 use super::scenes::{crate_at, room_objects, world};
@@ -13,11 +14,11 @@ use super::statistics::{area_mean, mean_total};
 
 /// Keeps all snapshots.
 #[derive(Default)]
-struct Snapshots(Mutex<Vec<Arc<LightMap>>>, Mutex<Vec<Progress>>);
+struct Snapshots(Mutex<Vec<Arc<LightMap>>>, Mutex<Vec<(Snapshot, Progress)>>);
 
 impl Observer for Snapshots {
-    fn snapshot(&self, map: &Arc<LightMap>, progress: &Progress) {
-        self.1.lock().expect("nobody panics").push(*progress);
+    fn snapshot(&self, map: &Arc<LightMap>, snapshot: Snapshot, progress: &Progress) {
+        self.1.lock().expect("nobody panics").push((snapshot, *progress));
         self.0.lock().expect("nobody panics").push(Arc::clone(map));
     }
 }
@@ -63,7 +64,7 @@ fn check(focus: &Focus, inside: impl Fn(Vec3) -> bool, outside: impl Fn(Vec3) ->
     let (early, late, stale) = (mean(&first), mean(&plain), mean(&carried));
     assert!((early - late).abs() < 0.25 * (stale - late).abs(), "{early} at first, {late} at last, {stale} before");
     // The last map before the rest follows is right where somebody looks.
-    let parts = snapshots.1.lock().expect("nobody panics").iter().filter(|p| p.samples_per_element == 0).count();
+    let parts = snapshots.1.lock().expect("nobody panics").iter().filter(|(s, _)| *s == Snapshot::Partial).count();
     let seen = mean(&snapshots.0.lock().expect("nobody panics")[parts - 1]);
     assert!(parts > 2 && (seen - late).abs() < 0.1 * (stale - late).abs(), "{seen} after {parts}, {late} at last");
     let ratio = mean_total(after, &done) / mean_total(after, &plain);
@@ -114,13 +115,10 @@ fn a_moved_lamp_comes_first_where_somebody_looks() {
     let plain = update(&transition, &old, &budget(64), None, 3, &without).expect("nobody cancels");
 
     let (first, progress) = (with.0.lock().expect("no panic")[0].clone(), with.1.lock().expect("no panic").clone());
-    let rays = without.1.lock().expect("no panic")[0].rays;
-    assert_eq!((progress[0].samples_per_element, progress[0].estimated_rmse), (0, None));
-    assert!(
-        progress[0].rays < rays * 7 / 10,
-        "{} rays to the first sight of it, {rays} without focus",
-        progress[0].rays
-    );
+    let rays = without.1.lock().expect("no panic")[0].1.rays;
+    let (snapshot, progress) = progress[0];
+    assert_eq!((snapshot, progress.samples_per_element, progress.estimated_rmse), (Snapshot::Partial, 0, None));
+    assert!(progress.rays < rays * 7 / 10, "{} rays to the first sight of it, {rays} without focus", progress.rays);
     let region = |i: usize| world.areas()[i] > 0.0 && world.positions()[i].distance(middle) < 0.75;
     let mean = |m: &LightMap| area_mean(&world, region, |i| m.total(i).as_dvec3());
     let (early, late, stale) = (mean(&first), mean(&plain), mean(&old));

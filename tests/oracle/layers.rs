@@ -8,7 +8,8 @@ use rebake_core::layers::Layer;
 use rebake_core::random::Pcg32;
 use rebake_core::scene::{Light, LightKind, Material, Mesh, Object, Scene};
 use rebake_core::{
-    Budget, DragBasis, Edit, LightMap, Observer, Progress, Relight, Unobserved, World, WorldOptions, bake, update,
+    Budget, DragBasis, Edit, LightMap, Observer, Progress, Relight, Snapshot, Unobserved, World, WorldOptions, bake,
+    update,
 };
 
 use super::scenes::{crate_at, room_objects, world};
@@ -55,7 +56,7 @@ struct Count {
 }
 
 impl Observer for Count {
-    fn snapshot(&self, _: &Arc<LightMap>, progress: &Progress) {
+    fn snapshot(&self, _: &Arc<LightMap>, _: Snapshot, progress: &Progress) {
         self.rays.store(progress.rays, Ordering::Relaxed);
         self.snapshots.fetch_add(1, Ordering::Relaxed);
     }

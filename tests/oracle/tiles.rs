@@ -7,8 +7,8 @@ use std::sync::{Arc, Mutex};
 use glam::{DMat4, DVec2, DVec3, Vec3};
 use rebake_core::scene::{LightKind, Scene};
 use rebake_core::{
-    Budget, Edit, Focus, Importance, LightMap, Observer, Progress, TileMode, Tiles, Transition, Unobserved, World,
-    bake, update,
+    Budget, Edit, Focus, Importance, LightMap, Observer, Progress, Snapshot, TileMode, Tiles, Transition, Unobserved,
+    World, bake, update,
 };
 
 use super::scenes::{crate_at, room_objects, world};
@@ -32,8 +32,8 @@ impl Observer for Shown {
         self.count.load(Ordering::Relaxed) >= self.most
     }
 
-    fn snapshot(&self, map: &Arc<LightMap>, progress: &Progress) {
-        if progress.samples_per_element == 0 {
+    fn snapshot(&self, map: &Arc<LightMap>, snapshot: Snapshot, _: &Progress) {
+        if snapshot == Snapshot::Partial {
             self.count.fetch_add(1, Ordering::Relaxed);
             self.maps.lock().expect("nobody panics").push(Arc::clone(map));
         }
@@ -157,7 +157,7 @@ fn incremental_ends_at_tile_quality_and_continuous_goes_on() {
     #[derive(Default)]
     struct Last(Mutex<u32>);
     impl Observer for Last {
-        fn snapshot(&self, _: &Arc<LightMap>, progress: &Progress) {
+        fn snapshot(&self, _: &Arc<LightMap>, _: Snapshot, progress: &Progress) {
             *self.0.lock().expect("nobody panics") = progress.samples_per_element;
         }
     }

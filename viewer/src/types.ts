@@ -72,7 +72,7 @@ export interface SceneSummary {
 export interface Job {
   id: string;
   scene: string;
-  kind: 'bake' | 'edit';
+  kind: 'bake' | 'edit' | 'refine';
   state: 'queued' | 'running' | 'paused' | 'succeeded' | 'failed' | 'canceled';
   cancel_requested: boolean;
   /** The job that does this one's work together with its own. */

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::{Stage, Updated, run_stage};
 use crate::bake::bake_layers;
 use crate::importance::Importance;
-use crate::job::{Budget, Canceled, Observer, Pass, Progress};
+use crate::job::{Budget, Canceled, Observer, Pass, Progress, Snapshot};
 use crate::layers::{
     Apart, Computed, Header, Layer, Old, Pieces, Plan, correlation, renamed, wants_layers, weights_of, weights_within,
     whole, whole_with,
@@ -217,9 +217,10 @@ fn run_change<V: Value>(
 
 /// One snapshot of a map that no ray was needed for.
 fn announce(map: &Arc<LightMap>, world: &World, observer: &dyn Observer) {
-    let progress = Progress::at_once(Pass::Direct, 1, Some(map.estimated_rmse(world.areas())));
+    let stated = Some(map.estimated_rmse(world.areas()));
+    let progress = Progress::at_once(Pass::Direct, 1, stated);
     observer.progress(&progress);
-    observer.snapshot(map, &progress);
+    observer.snapshot(map, Snapshot::Complete { stated }, &progress);
 }
 
 /// Lets nothing out: a stage's map is not yet that of the edit.

@@ -9,7 +9,7 @@ use super::updater::Updater;
 use crate::accumulate::Accumulator;
 use crate::focus::Focus;
 use crate::importance::Tiles;
-use crate::job::{Canceled, Pass, Progress};
+use crate::job::{Canceled, Pass, Progress, Snapshot};
 use crate::layers::Stack;
 use crate::random::subseed;
 use crate::rounds::{First, Goal, Phase, Round, Rounds};
@@ -43,7 +43,7 @@ impl<V: Value> Updater<'_, V> {
             tile.iter().for_each(|&slot| first.samples[slot as usize] = sum.samples());
             let done = Progress { rays: work.rays(), ..Progress::at_once(Pass::FinalGather, 0, None) };
             work.observer().progress(&done);
-            work.observer().snapshot(&Arc::new(self.finish(&first.stack)), &done);
+            work.observer().snapshot(&Arc::new(self.finish(&first.stack)), Snapshot::Partial, &done);
         }
         Ok(first.samples.iter().any(|&samples| samples > 0).then_some(first))
     }

@@ -12,7 +12,7 @@ use super::skies;
 use super::types::{JobPriority, dmat4, dvec3, vec3};
 use crate::config::Config;
 use crate::engine::{self, Edit, World};
-use crate::jobs::observer::JobBudget;
+use crate::jobs::budget::JobBudget;
 use crate::store::assets::Assets;
 
 /// An edit request, read.
@@ -144,7 +144,7 @@ fn read_fields<T: DeserializeOwned>(fields: Map<String, Value>, path: &str) -> A
     read(Value::Object(fields), path)
 }
 
-fn read<T: DeserializeOwned>(value: Value, path: &str) -> ApiResult<T> {
+pub(super) fn read<T: DeserializeOwned>(value: Value, path: &str) -> ApiResult<T> {
     serde_path_to_error::deserialize(value).map_err(|error| {
         let inner = error.path().to_string();
         let at = if inner == "." { path.to_owned() } else { join(path, &inner) };

@@ -319,7 +319,7 @@ pub struct Budget {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(example = 64, minimum = 1)]
     pub samples_per_element: Option<u32>,
-    /// Seconds from the job's start. A job does at least one round, however long that takes.
+    /// Seconds from when the request was accepted. A job does at least one round, however long that takes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(example = 2.5)]
     pub max_seconds: Option<f64>,

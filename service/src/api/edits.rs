@@ -16,16 +16,16 @@ use super::layers::check_edits;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::{Job, to_event_data};
 use super::uploads::{full_problem, memory_problem, next_seed};
-use super::{Shared, find_scene, require_serving};
+use super::{Shared, etag, find_scene, require_serving};
 use crate::config::Config;
 use crate::engine::{Edit, EditError, EditErrorKind, Focus, Importance, Scene, World};
 use crate::jobs::merge::dragged_by;
-use crate::jobs::queue::JobKind;
-use crate::jobs::{JobSpec, new_record};
+use crate::jobs::queue::{JobKind, Priority};
+use crate::jobs::{About, JobSpec, new_record};
 use crate::memory;
 use crate::state::App;
 use crate::store::assets::Assets;
-use crate::store::lighting::Unlit;
+use crate::store::lighting::{Sequence, Unlit};
 use crate::store::records::{Accepted, EditRecord, KeyRecord};
 use crate::store::scenes::{Head, SceneEntry};
 
@@ -40,7 +40,7 @@ static IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
     params(
         ("scene" = String, Path, description = "The scene's id"),
         ("Idempotency-Key" = Option<String>, Header, description = "Makes the request safe to repeat: the same key with the same body answers the same job"),
-        ("If-Match" = Option<String>, Header, description = "Refuse unless the light map is at this version", example = "\"7\""),
+        ("If-Match" = Option<String>, Header, description = "Refuse unless the scene has accepted exactly the edits that its `ETag` told (`accepted_edits`): of clients that edit the same state at the same time one wins. Versions of the light map do not count here", example = "\"3\""),
     ),
     request_body(content = EditRequest, content_type = "application/json", examples(
         ("insert" = (value = json!({"op": "insert", "asset": "d74981efa70a0c880b8d8c1985d075dbcbf679b99a5f9914e5aaf96b831a9e24", "name": "chair-2", "transform": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.5, 0, 2, 1]}))),
@@ -54,7 +54,10 @@ static IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
         ("several" = (value = json!({"edits": [{"op": "remove", "objects": ["sofa"]}, {"op": "move_light", "light": "lamp", "position": [1, 2, 0]}], "budget": {"max_seconds": 2.5}})))
     )),
     responses((status = 202, body = Job, description = "Accepted; the job lights it",
-        headers(("Location" = String, description = "Path of the job"))))
+        headers(
+            ("Location" = String, description = "Path of the job"),
+            ("ETag" = String, description = "The scene's, with this edit: its accepted edits so far")
+        )))
 )]
 pub(super) async fn create(
     State(app): Shared,
@@ -79,14 +82,13 @@ pub(super) async fn create(
             return Err(Problem::new(Kind::KeyReused, "this Idempotency-Key came with another body before"));
         }
         let answer = match app.jobs.get(known.job) {
-            Some((job, scene)) => to_event_data(&Job::new(&app.ids, &job, &scene)),
+            Some((job, about)) => to_event_data(&Job::new(&app.ids, &job, &about)),
             None => known.answer.clone(),
         };
         return Ok(accepted(&app.ids.job(known.job), &answer));
     }
-    let version = scene.published().version;
-    if if_match.is_some_and(|tags| !tags.matches_strongly(&version.to_string())) {
-        return Err(Problem::new(Kind::PreconditionFailed, format!("the light map is at version {version}")));
+    if let Some(tags) = if_match {
+        check_if_match(&tags, head.sequence)?;
     }
     let request = read_request(&app, &head, &body)?;
 
@@ -100,10 +102,23 @@ pub(super) async fn create(
     Ok(accepted(&id, &answer))
 }
 
+/// Whether the scene is still as the client knows it: by the edits that were accepted, however far their light is.
+fn check_if_match(tags: &ETags, accepted: Sequence) -> ApiResult<()> {
+    if tags.matches_strongly(&accepted.to_string()) {
+        return Ok(());
+    }
+    let text = format!(
+        "the scene has accepted {accepted} edits, so that its ETag is \"{accepted}\"; If-Match compares with that, not \
+         with the light map's version"
+    );
+    Err(Problem::new(Kind::PreconditionFailed, text))
+}
+
 /// A request, checked as far as it can be without the engine.
 struct Request {
     parsed: Parsed,
     edits: Vec<Edit>,
+    priority: Priority,
     spec: JobSpec,
 }
 
@@ -115,8 +130,8 @@ fn read_request(app: &App, head: &Head, body: &[u8]) -> ApiResult<Request> {
     let importance = read_importance(&parsed, &head.world, &app.config)?;
     let priority = parsed.priority;
     let dragged = dragged_by(&edits);
-    let spec = JobSpec { kind: JobKind::Edit, priority, budget, importance, dragged, seed: 0, sequence: head.sequence };
-    Ok(Request { parsed, edits, spec })
+    let spec = JobSpec { importance, dragged, ..JobSpec::new(budget, 0, head.sequence) };
+    Ok(Request { parsed, edits, priority, spec })
 }
 
 fn read_importance(parsed: &Parsed, world: &World, config: &Config) -> ApiResult<Importance> {
@@ -135,7 +150,7 @@ fn accept(
     body: &Bytes,
     key: Option<(String, blake3::Hash)>,
 ) -> ApiResult<(String, Arc<str>)> {
-    let Request { parsed, edits, mut spec } = request;
+    let Request { parsed, edits, priority, mut spec } = request;
     let ticket = app.ticket(scene.number).map_err(full_problem)?;
     let limits = &app.config.limits;
     if scene.unlit() >= limits.queued_per_scene + limits.unlit_edits {
@@ -156,21 +171,23 @@ fn accept(
     let mut jobs = head.jobs;
     spec.seed = next_seed(app.config.seed, &mut jobs);
     spec.sequence = head.sequence + u64::from(transition.is_some());
-    let record = new_record(ticket.number, scene, &spec);
-    let job = Job::new(&app.ids, &record.job, &scene.id);
+    let sequence = spec.sequence;
+    let record = new_record(ticket.number, scene, (JobKind::Edit, priority), spec);
+    let job = Job::new(&app.ids, &record.job, &About { scene: scene.id.clone(), sequence });
     let answer = to_event_data(&job);
     let key = key.map(|(key, body_hash)| KeyRecord { key, body_hash, job: ticket.number, answer: answer.clone() });
-    let edit = transition.is_some().then_some(EditRecord { sequence: spec.sequence, body });
+    let edit = transition.is_some().then_some(EditRecord { sequence, body });
     let gone = |asset| Problem::new(Kind::UnknownAsset, format!("the asset {asset:?} was deleted"));
     let needed = app.assets.need(scene.number, &used_assets(&parsed)).map_err(gone)?;
     let kept = app.store.accepted(&Accepted { scene: scene.number, edit, job: &record, key: key.as_ref(), jobs });
     kept.inspect_err(|_| app.assets.unneed(scene.number, &needed))?;
     let unlit = transition.map(|transition| {
         head.world = transition.after.clone();
-        head.sequence = spec.sequence;
+        head.sequence = sequence;
+        scene.set_accepted_edits(sequence);
         scene.set_accepted_bytes(head.world.memory_bytes() as u64);
         layers.iter().for_each(|room| scene.expect_layers(room.expected));
-        Unlit { sequence: spec.sequence, transition: Arc::new(transition), edits: edits.into() }
+        Unlit { sequence, transition: Arc::new(transition), edits: edits.into() }
     });
     head.jobs = jobs;
     ticket.submit(scene, &record, || unlit.into_iter().for_each(|unlit| scene.accept(unlit)));
@@ -240,5 +257,8 @@ fn idempotency_key(headers: &HeaderMap) -> ApiResult<Option<String>> {
 fn accepted(job: &str, answer: &Arc<str>) -> Response {
     let headers =
         [(header::CONTENT_TYPE, "application/json".to_owned()), (header::LOCATION, format!("/v1/jobs/{job}"))];
-    (StatusCode::ACCEPTED, headers, answer.to_string()).into_response()
+    // An answer that an earlier build has kept tells no edits.
+    let told = serde_json::from_str::<Job>(answer).ok();
+    let tag = told.map(|job| [(header::ETAG, etag(job.accepted_edits))]);
+    (StatusCode::ACCEPTED, headers, tag, answer.to_string()).into_response()
 }

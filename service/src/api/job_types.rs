@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::types::finite;
-use crate::jobs::queue;
+use crate::jobs::{About, queue};
 use crate::state::Ids;
 
 pub use crate::jobs::queue::{JobKind, JobState, Priority as JobPriority};
@@ -19,6 +19,9 @@ pub struct Job {
     /// The scene's id.
     #[schema(example = "s1-k3f9qz")]
     pub scene: String,
+    /// What it lights: the scene's accepted edits up to this one. Of the answer to an edit: the scene's `ETag` from then on.
+    #[schema(example = 3)]
+    pub accepted_edits: u64,
     /// What it does.
     pub kind: JobKind,
     /// Where it stands.
@@ -49,11 +52,12 @@ pub struct Job {
 }
 
 impl Job {
-    pub(crate) fn new(ids: &Ids, job: &queue::Job, scene: &str) -> Job {
+    pub(crate) fn new(ids: &Ids, job: &queue::Job, about: &About) -> Job {
         let progress = &job.progress;
         Job {
             id: ids.job(job.number),
-            scene: scene.to_owned(),
+            scene: about.scene.clone(),
+            accepted_edits: about.sequence,
             kind: job.kind,
             state: job.state,
             cancel_requested: job.cancel_requested,

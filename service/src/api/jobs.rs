@@ -39,12 +39,12 @@ pub(super) struct ListQuery {
 )]
 pub(super) async fn list(State(app): Shared, ApiQuery(query): ApiQuery<ListQuery>) -> ApiResult<Json<JobPage>> {
     let page = Page::new(&app.config, query.limit, query.cursor.as_deref())?;
-    let jobs = app.jobs.older_than(page.before, page.limit + 1, |job, scene| {
-        query.scene.as_deref().is_none_or(|wanted| wanted == scene)
+    let jobs = app.jobs.older_than(page.before, page.limit + 1, |job, about| {
+        query.scene.as_deref().is_none_or(|wanted| wanted == about.scene)
             && query.state.is_none_or(|wanted| wanted == job.state)
     });
     let (jobs, next_cursor) = page.cut(jobs, |(job, _)| job.number);
-    let items = jobs.iter().map(|(job, scene)| Job::new(&app.ids, job, scene)).collect();
+    let items = jobs.iter().map(|(job, about)| Job::new(&app.ids, job, about)).collect();
     Ok(Json(JobPage { items, next_cursor }))
 }
 
@@ -130,6 +130,6 @@ async fn show_what_is_left(app: &std::sync::Arc<App>, job: &Job) -> ApiResult<()
 pub(super) fn find(app: &App, id: &str) -> ApiResult<(JobNumber, Job)> {
     let unknown = || Problem::new(Kind::UnknownJob, format!("there is no job {id:?}"));
     let number = app.ids.parse_job(id).ok_or_else(unknown)?;
-    let (job, scene) = app.jobs.get(number).ok_or_else(unknown)?;
-    Ok((number, Job::new(&app.ids, &job, &scene)))
+    let (job, about) = app.jobs.get(number).ok_or_else(unknown)?;
+    Ok((number, Job::new(&app.ids, &job, &about)))
 }

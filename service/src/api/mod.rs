@@ -44,7 +44,7 @@ use tower_http::cors::{AllowOrigin, Any, CorsLayer};
 
 pub use edits::{read_edits, read_focus};
 pub use openapi::document;
-pub(crate) use uploads::next_seed;
+pub(crate) use uploads::{mixed, next_seed};
 
 use crate::state::App;
 use crate::store::scenes::SceneEntry;
@@ -57,7 +57,7 @@ type Shared = State<Arc<App>>;
 pub(crate) fn router(app: Arc<App>) -> Router {
     Router::new()
         .route("/v1/scenes", post(uploads::create).get(scenes::list))
-        .route("/v1/scenes/{scene}", get(scenes::get).delete(scenes::delete))
+        .route("/v1/scenes/{scene}", get(scenes::get).patch(scenes::patch).delete(scenes::delete))
         .route("/v1/scenes/{scene}/edits", post(edits::create))
         .route("/v1/scenes/{scene}/events", get(events::of_scene))
         .route("/v1/scenes/{scene}/lightmap", get(lightmap::get))
@@ -100,7 +100,7 @@ fn cors(origins: &[String]) -> CorsLayer {
     let exposed = ["etag", "location", "retry-after", "x-rebake-version", "x-request-id", "content-encoding"];
     CorsLayer::new()
         .allow_origin(origin)
-        .allow_methods([Method::GET, Method::POST, Method::DELETE])
+        .allow_methods([Method::GET, Method::POST, Method::PATCH, Method::DELETE])
         .allow_headers(Any)
         .expose_headers(exposed.map(HeaderName::from_static))
         .max_age(Duration::from_secs(3600))
@@ -129,7 +129,7 @@ fn require_serving(app: &App) -> ApiResult<()> {
     Err(Problem::new(Kind::ShuttingDown, "the service is about to end").retry_after(5))
 }
 
-/// A version as an entity tag.
+/// A version, or a number of accepted edits, as an entity tag.
 fn etag(version: u64) -> String {
     format!("\"{version}\"")
 }

@@ -20,7 +20,7 @@ use super::{
         license(name = "MIT OR Apache-2.0")
     ),
     paths(
-        uploads::create, scenes::list, scenes::get, scenes::delete, assets::create, assets::list, assets::delete, edits::create,
+        uploads::create, scenes::list, scenes::get, scenes::patch, scenes::delete, assets::create, assets::list, assets::delete, edits::create,
         jobs::list, jobs::get, jobs::cancel, jobs::pause, jobs::resume, events::of_job, events::of_scene,
         lightmap::get, deltas::get, elements::get, render::get, health::alive, health::ready, health::metrics, health::problem, get
     ),
@@ -44,7 +44,7 @@ pub fn document() -> utoipa::openapi::OpenApi {
     let components = document.components.get_or_insert_default();
     components.add_security_scheme("bearer", SecurityScheme::Http(bearer));
     for item in document.paths.paths.values_mut() {
-        for operation in [&mut item.get, &mut item.post, &mut item.delete].into_iter().flatten() {
+        for operation in [&mut item.get, &mut item.post, &mut item.patch, &mut item.delete].into_iter().flatten() {
             add_problems(operation);
         }
     }
@@ -121,6 +121,17 @@ fn problems_of(operation: &str) -> &'static [Kind] {
         ],
         "list_scenes" | "list_jobs" | "list_assets" => &[InvalidQuery],
         "get_scene" => &[UnknownScene],
+        "patch_scene" => &[
+            InvalidJson,
+            UnknownScene,
+            SceneDamaged,
+            Timeout,
+            PayloadTooLarge,
+            UnsupportedMediaType,
+            InvalidValue,
+            ShuttingDown,
+            Storage,
+        ],
         "delete_scene" => &[UnknownScene, Storage],
         "delete_asset" => &[AssetNotFound, AssetNeeded, ShuttingDown, Storage],
         "get_job" => &[UnknownJob],

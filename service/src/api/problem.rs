@@ -146,7 +146,7 @@ kinds! {
     AssetNeeded "asset-needed" CONFLICT "Asset needed" "A scene, or its history, needs the asset; delete the scene first.";
     VersionAhead "version-ahead" CONFLICT "Version ahead" "The client's version is newer than the scene's: it belongs to something else. Start over from version 0.";
     VersionForgotten "version-forgotten" GONE "Version forgotten" "The version that a change is to be shown against is not kept.";
-    PreconditionFailed "precondition-failed" PRECONDITION_FAILED "Precondition failed" "The scene has moved on to another version than If-Match names.";
+    PreconditionFailed "precondition-failed" PRECONDITION_FAILED "Precondition failed" "The scene has accepted other edits than If-Match names.";
     PayloadTooLarge "payload-too-large" PAYLOAD_TOO_LARGE "Payload too large" "The body is larger than the service takes.";
     SceneTooLarge "scene-too-large" PAYLOAD_TOO_LARGE "Scene too large" "The scene has more triangles, elements or other parts than the service takes.";
     ForeignHost "foreign-host" MISDIRECTED_REQUEST "Foreign host" "The service answers only to its own host names; `--host-name` gives it more, and with tokens it answers to all.";

@@ -3,21 +3,27 @@
 use std::sync::Arc;
 
 use axum::Json;
+use axum::body::Body;
 use axum::extract::State;
-use axum::http::{StatusCode, header};
+use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
-use utoipa::IntoParams;
+use serde_json::Value;
+use utoipa::{IntoParams, ToSchema};
 
-use super::edit_parse::eye_target_up;
-use super::extract::{ApiPath, ApiQuery};
+use super::edit_parse::{check_name, eye_target_up, read, to_budget};
+use super::edit_types::Budget;
+use super::extract::{ApiPath, ApiQuery, read_body, require_content_type};
 use super::layers;
 use super::paging::Page;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::{self, finite};
-use super::{Shared, etag, find_any_scene};
+use super::{Shared, etag, find_any_scene, find_scene, require_serving};
 use crate::engine::LightMap;
+use crate::jobs::budget::JobBudget;
 use crate::state::App;
+use crate::store::StoreError;
+use crate::store::records::SceneChange;
 use crate::store::scenes::SceneEntry;
 use crate::store::versions::Published;
 
@@ -54,12 +60,62 @@ pub(super) async fn list(
     get, path = "/v1/scenes/{scene}", tag = "scenes", operation_id = "get_scene",
     params(("scene" = String, Path, description = "The scene's id")),
     responses((status = 200, body = types::Scene,
-        headers(("ETag" = String, description = "Version of the light map"))))
+        headers(("ETag" = String, description = "The edits that were accepted so far (`accepted_edits`), for `If-Match`"))))
 )]
 pub(super) async fn get(State(app): Shared, ApiPath(id): ApiPath<String>) -> ApiResult<Response> {
     let scene = find_any_scene(&app, &id)?;
-    let (version, json) = scene_json(&app, &scene, None).await?;
-    Ok(([(header::ETAG, etag(version))], json).into_response())
+    let (accepted, json) = scene_json(&app, &scene, None).await?;
+    Ok(([(header::ETAG, etag(accepted))], json).into_response())
+}
+
+/// What of a scene is to change; what is absent stays.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ScenePatch {
+    /// Name for people.
+    #[schema(example = "living room")]
+    name: Option<String>,
+    /// What the scene works towards: its jobs go on towards it, or begin to.
+    target: Option<Budget>,
+}
+
+/// Changes a scene's name or its target. Light that is less than the target asks for is refined, behind edits that wait.
+#[utoipa::path(
+    patch, path = "/v1/scenes/{scene}", tag = "scenes", operation_id = "patch_scene",
+    params(("scene" = String, Path, description = "The scene's id")),
+    request_body(content = ScenePatch, content_type = "application/json"),
+    responses((status = 200, body = types::Scene, description = "The scene as it is now",
+        headers(("ETag" = String, description = "The edits that were accepted so far (`accepted_edits`), for `If-Match`"))))
+)]
+pub(super) async fn patch(
+    State(app): Shared,
+    ApiPath(id): ApiPath<String>,
+    headers: HeaderMap,
+    body: Body,
+) -> ApiResult<Response> {
+    require_serving(&app)?;
+    let scene = find_scene(&app, &id)?;
+    require_content_type(&headers, &["application/json"])?;
+    let body = read_body(&app, &headers, body, app.config.limits.edit_bytes).await?;
+    let value: Value =
+        serde_json::from_slice(&body).map_err(|error| Problem::new(Kind::InvalidJson, error.to_string()))?;
+    let ScenePatch { name, target } = read(value, "")?;
+    if let Some(name) = &name {
+        check_name(name, "name", app.config.limits.name_chars)?;
+    }
+    let samples = app.config.defaults.bake_samples;
+    let target = target.map(|target| to_budget(Some(target), "target", samples, &app.config)).transpose()?;
+    let (its_app, its_scene) = (app.clone(), scene.clone());
+    let change = move || {
+        let change = SceneChange { name: name.as_deref(), target: target.as_ref() };
+        its_app.store.scene_changed(its_scene.number, &change)?;
+        name.into_iter().for_each(|name| its_scene.set_name(name));
+        target.into_iter().for_each(|target| its_app.set_target(&its_scene, target));
+        Ok::<_, StoreError>(())
+    };
+    app.compute.run(change).await??;
+    let (accepted, json) = scene_json(&app, &scene, None).await?;
+    Ok(([(header::ETAG, etag(accepted))], json).into_response())
 }
 
 /// Deletes a scene, cancels its jobs and ends its streams.
@@ -101,7 +157,7 @@ pub(super) fn summary(app: &App, scene: &SceneEntry) -> types::SceneSummary {
     let published = scene.published();
     types::SceneSummary {
         id: scene.id.clone(),
-        name: scene.name.clone(),
+        name: scene.name(),
         mode: scene.mode,
         spacing: published.world.spacing(),
         version: published.version,
@@ -114,7 +170,8 @@ pub(super) fn summary(app: &App, scene: &SceneEntry) -> types::SceneSummary {
 }
 
 /// A scene with all that is in it, of one version, as JSON. Thousands of objects take their time: they are told and
-/// written on the pool. `bake`: the job that was queued with the scene, told also where it is done by now.
+/// written on the pool. `bake`: the job that was queued with the scene, told also where it is done by now. The number of
+/// accepted edits comes with it.
 pub(super) async fn scene_json(
     app: &Arc<App>,
     scene: &Arc<SceneEntry>,
@@ -124,17 +181,17 @@ pub(super) async fn scene_json(
     let write = move || {
         let mut told = of_published(&its_app, &its_scene, &its_scene.published());
         told.current_job = bake.or(told.current_job);
-        serde_json::to_vec(&told).map(|json| (told.version, json))
+        serde_json::to_vec(&told).map(|json| (told.accepted_edits, json))
     };
-    let (version, json) = app.compute.answer(write).await?.map_err(Problem::internal)?;
-    Ok((version, ([(header::CONTENT_TYPE, "application/json")], json).into_response()))
+    let (accepted, json) = app.compute.answer(write).await?.map_err(Problem::internal)?;
+    Ok((accepted, ([(header::CONTENT_TYPE, "application/json")], json).into_response()))
 }
 
 fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::Scene {
     let world = &published.world;
     types::Scene {
         id: scene.id.clone(),
-        name: scene.name.clone(),
+        name: scene.name(),
         mode: scene.mode,
         spacing: world.spacing(),
         version: published.version,
@@ -147,6 +204,8 @@ fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::
             + scene.drag.memory_bytes()
             + scene.earlier.memory_bytes(&published.map)) as u64,
         estimated_rmse: published.estimated_rmse.and_then(finite),
+        target: scene.target().map(to_target),
+        accepted_edits: scene.accepted_edits(),
         unlit_edits: scene.unlit() as u64,
         objects: published.objects().iter().map(types::Object::new).collect(),
         lights: world.lights().map(|info| light(&info, &published.map)).collect(),
@@ -158,6 +217,11 @@ fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::
         error: scene.error(),
         created_at: scene.created_at,
     }
+}
+
+fn to_target(target: JobBudget) -> Budget {
+    let JobBudget { samples_per_element, max_seconds, target_rmse } = target;
+    Budget { samples_per_element: Some(samples_per_element), max_seconds, target_rmse }
 }
 
 fn light(info: &rebake_core::LightInfo<'_>, map: &LightMap) -> types::Light {

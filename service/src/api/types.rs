@@ -7,6 +7,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use super::edit_types::Budget;
 pub use super::job_types::{Job, JobKind, JobPriority, JobProgress, JobState};
 use crate::engine;
 use crate::mode::Mode;
@@ -69,6 +70,12 @@ pub struct Scene {
     /// Stated error of the light that the map holds (`mode`): area-weighted RMSE (irradiance / π).
     #[schema(example = 0.012)]
     pub estimated_rmse: Option<f32>,
+    /// What the scene works towards whenever no edit waits, until the first bound is reached; absent where it was uploaded
+    /// without a bake.
+    pub target: Option<Budget>,
+    /// Edit requests that were accepted so far and changed something. The scene's `ETag`, which `If-Match` compares with.
+    #[schema(example = 3)]
+    pub accepted_edits: u64,
     /// Accepted edits whose light is not in the map yet: those of jobs that wait, run or were canceled.
     pub unlit_edits: u64,
     /// The objects, in order. Their `albedo` is the mean of the file or of the last repaint; light meets at most
@@ -93,6 +100,31 @@ pub struct Scene {
     /// When it was uploaded.
     #[schema(value_type = String, format = DateTime, example = "2026-11-23T09:00:00Z")]
     pub created_at: Timestamp,
+}
+
+/// What a scene would take: the answer to an upload with `dry_run=true`.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct ScenePlan {
+    /// Largest distance between neighbouring elements, metres: as asked for, else as it would be chosen.
+    #[schema(example = 0.1)]
+    pub spacing: f32,
+    /// Elements of the light map.
+    #[schema(example = 20_500)]
+    pub elements: u64,
+    /// Triangles after subdivision.
+    #[schema(example = 40_112)]
+    pub triangles: u64,
+    /// Number of objects.
+    pub objects: u64,
+    /// Number of lights.
+    pub lights: u64,
+    /// Memory that the scene would hold before its first edit, with its layers.
+    #[schema(example = 9_211_340)]
+    pub memory_bytes: u64,
+    /// What the file asks for and would not get.
+    pub warnings: Vec<String>,
+    /// Triangles without an area, which would be dropped.
+    pub degenerate_triangles: u64,
 }
 
 /// A scene in a list.

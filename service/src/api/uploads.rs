@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
@@ -20,8 +21,9 @@ use super::problem::{ApiResult, Kind, Problem};
 use super::scenes::scene_json;
 use super::skies;
 use super::types::{self, JobPriority};
-use super::{Shared, require_serving};
+use super::{Shared, etag, require_serving};
 use crate::engine::{self, LoadError, Scene, SurfaceError, World, WorldError};
+use crate::jobs::budget::JobBudget;
 use crate::jobs::queue::{Full, JobKind};
 use crate::jobs::{JobSpec, new_record};
 use crate::memory::{self, NoRoom};
@@ -30,7 +32,7 @@ use crate::state::App;
 use crate::store::layers::LAYER_BYTES;
 use crate::store::records::{SceneRecord, StoredOutside};
 use crate::store::scenes::{NewScene, Reservation, SceneEntry};
-use crate::store::versions::FIRST_RESERVE;
+use crate::store::versions::{FIRST_RESERVE, Published};
 
 /// Media types of an uploaded file.
 pub(super) const GLB_TYPES: &[&str] =
@@ -81,13 +83,19 @@ pub(super) struct CreateQuery {
     layers: Option<String>,
     /// Start a bake at once; `true` where absent.
     bake: Option<bool>,
-    /// Budget of the bake: samples per element.
+    /// What the scene works towards, as JSON like the `budget` of an edit: the bake ends there, edits interrupt it, and what
+    /// they leave behind is refined towards it. In place of the three below.
+    #[param(example = "{\"target_rmse\": 0.01, \"max_seconds\": 60}")]
+    target: Option<String>,
+    /// The target: samples per element; 128 where nothing else is asked for.
     #[param(example = 128)]
     samples_per_element: Option<u32>,
-    /// Budget of the bake: seconds.
+    /// The target: seconds from the upload.
     max_seconds: Option<f64>,
-    /// Budget of the bake: stated error.
+    /// The target: stated error.
     target_rmse: Option<f32>,
+    /// Tell what the scene would take, and keep nothing: 200, a ScenePlan; `false` where absent.
+    dry_run: Option<bool>,
     /// Whose turn comes sooner, of the bake; `normal` where absent.
     #[param(inline)]
     priority: Option<JobPriority>,
@@ -97,8 +105,13 @@ pub(super) struct CreateQuery {
 #[utoipa::path(
     post, path = "/v1/scenes", tag = "scenes", operation_id = "create_scene", params(CreateQuery),
     request_body(content = Vec<u8>, content_type = "model/gltf-binary", description = "A `.glb`, or a `.gltf` with its files as a zip archive"),
-    responses((status = 201, body = types::Scene, description = "The scene; its bake is `current_job`",
-        headers(("Location" = String, description = "Path of the scene"))))
+    responses(
+        (status = 200, body = types::ScenePlan, description = "With `dry_run=true`: what the scene would take"),
+        (status = 201, body = types::Scene, description = "The scene; its bake is `current_job`",
+        headers(
+            ("Location" = String, description = "Path of the scene"),
+            ("ETag" = String, description = "The edits that were accepted so far, for `If-Match`")
+        )))
 )]
 pub(super) async fn create(
     State(app): Shared,
@@ -108,7 +121,11 @@ pub(super) async fn create(
 ) -> ApiResult<Response> {
     require_serving(&app)?;
     require_content_type(&headers, GLB_TYPES)?;
+    let is_dry_run = query.dry_run.unwrap_or(false);
     let options = Options::from_query(query, &app).map_err(in_query)?;
+    if is_dry_run {
+        return plan(&app, options, &headers, body).await;
+    }
     let full = || Problem::new(Kind::TooManyScenes, format!("there are {} scenes", app.config.limits.scenes));
     let reservation = app.scenes.reserve(app.config.limits.scenes).ok_or_else(full)?;
     let (glb, _room) = read_upload(&app, &headers, body).await?;
@@ -120,8 +137,34 @@ pub(super) async fn create(
     };
     let (scene, bake) = app.compute.build(build).await??;
     let location = format!("/v1/scenes/{}", scene.id);
-    let (_, json) = scene_json(&app, &scene, bake).await?;
-    Ok((StatusCode::CREATED, [(header::LOCATION, location)], json).into_response())
+    let (accepted, json) = scene_json(&app, &scene, bake).await?;
+    let headers = [(header::LOCATION, location), (header::ETAG, etag(accepted))];
+    Ok((StatusCode::CREATED, headers, json).into_response())
+}
+
+/// Builds a scene as an upload does, tells what it takes, and lets it go.
+async fn plan(app: &Arc<App>, options: Options, headers: &HeaderMap, body: Body) -> ApiResult<Response> {
+    let (glb, _room) = read_upload(app, headers, body).await?;
+    let permit = upload_permit(app).await?;
+    let its_app = app.clone();
+    let build = move || {
+        let _permit = permit;
+        let world = build_world(&its_app, &glb, &options)?;
+        let layers = layers::count(&world.scene, &world.scene.groups) * LAYER_BYTES * world.slots();
+        let published = Published::black(world, options.mode);
+        let world = &published.world;
+        Ok::<_, Problem>(types::ScenePlan {
+            spacing: world.spacing(),
+            elements: world.element_count() as u64,
+            triangles: world.triangle_count() as u64,
+            objects: world.scene.objects.len() as u64,
+            lights: world.lights().count() as u64,
+            memory_bytes: (world.memory_bytes() + published.memory_bytes() + layers) as u64,
+            warnings: world.scene.warnings.clone(),
+            degenerate_triangles: world.scene.degenerate_triangles as u64,
+        })
+    };
+    Ok(Json(app.compute.build(build).await??).into_response())
 }
 
 /// Builds a scene, keeps it with its bake, and lets everybody see both; answers the scene and the bake's id.
@@ -140,6 +183,7 @@ fn create_scene(
         outside: options.outside,
         max_albedo: options.max_albedo,
         groups: world.scene.groups.clone(),
+        target: options.target,
         created_at: Timestamp::now(),
     };
     let new = NewScene {
@@ -147,6 +191,7 @@ fn create_scene(
         id: app.ids.scene(reservation.number),
         name: record.name.clone(),
         mode: record.mode,
+        target: record.target,
         created_at: record.created_at,
         first_event: app.first_event,
         reserved: FIRST_RESERVE,
@@ -158,22 +203,12 @@ fn create_scene(
     scene.expect_layers(layers as u64);
     // Nobody else sees the scene yet.
     let mut head = scene.head.blocking_lock();
-    let bake = match options.bake {
+    let bake = match options.target.filter(|_| options.bake) {
         None => None,
         Some(budget) => {
-            let (kind, priority) = (JobKind::Bake, options.priority);
-            let seed = next_seed(app.config.seed, &mut head.jobs);
-            let spec = JobSpec {
-                kind,
-                priority,
-                budget,
-                importance: engine::Importance::default(),
-                dragged: Vec::new(),
-                seed,
-                sequence: 0,
-            };
+            let spec = JobSpec::new(budget, next_seed(app.config.seed, &mut head.jobs), 0);
             let ticket = app.ticket(scene.number).map_err(full_problem)?;
-            let job = new_record(ticket.number, &scene, &spec);
+            let job = new_record(ticket.number, &scene, (JobKind::Bake, options.priority), spec);
             Some((ticket, job))
         }
     };
@@ -198,13 +233,16 @@ struct Options {
     outside: StoredOutside,
     max_albedo: Option<f32>,
     layers: Wanted,
-    bake: Option<crate::jobs::observer::JobBudget>,
+    bake: bool,
+    target: Option<JobBudget>,
     priority: JobPriority,
 }
 
 impl Options {
     fn from_query(query: CreateQuery, app: &App) -> ApiResult<Options> {
         let outside = skies::asked_for(&query)?;
+        let (bake, has_target) = (query.bake.unwrap_or(true), query.target.is_some());
+        let target = read_target(&query, app)?;
         let name = query.name.unwrap_or_else(|| "scene".to_owned());
         check_name(&name, "name", app.config.limits.name_chars)?;
         if query.spacing.is_some_and(|spacing| !(spacing.is_finite() && spacing > 0.0)) {
@@ -215,12 +253,6 @@ impl Options {
             return Err(Problem::field(Kind::InvalidQuery, "max_albedo", reason));
         }
         let environment = query.environment.as_deref().map(parse_environment).transpose()?;
-        let budget = Budget {
-            samples_per_element: query.samples_per_element,
-            max_seconds: query.max_seconds,
-            target_rmse: query.target_rmse,
-        };
-        let budget = to_budget(Some(budget), "", app.config.defaults.bake_samples, &app.config)?;
         Ok(Options {
             name,
             spacing: query.spacing,
@@ -231,10 +263,30 @@ impl Options {
             layers: query
                 .layers
                 .map_or(Ok(Wanted::Shared), |text| Wanted::parse(&text, app.config.limits.name_chars))?,
-            bake: query.bake.unwrap_or(true).then_some(budget),
+            bake,
+            target: (bake || has_target).then_some(target),
             priority: query.priority.unwrap_or_default(),
         })
     }
+}
+
+/// What the scene is to work towards, however the query says so.
+fn read_target(query: &CreateQuery, app: &App) -> ApiResult<JobBudget> {
+    let apart = Budget {
+        samples_per_element: query.samples_per_element,
+        max_seconds: query.max_seconds,
+        target_rmse: query.target_rmse,
+    };
+    let default_samples = app.config.defaults.bake_samples;
+    let Some(text) = &query.target else { return to_budget(Some(apart), "", default_samples, &app.config) };
+    if apart.samples_per_element.is_some() || apart.max_seconds.is_some() || apart.target_rmse.is_some() {
+        let reason = "comes alone: samples_per_element, max_seconds and target_rmse belong in it";
+        return Err(Problem::field(Kind::InvalidQuery, "target", reason));
+    }
+    let budget = serde_json::from_str::<Budget>(text);
+    let budget =
+        budget.map_err(|error| Problem::field(Kind::InvalidQuery, "target", format!("has to be JSON: {error}")))?;
+    to_budget(Some(budget), "target", default_samples, &app.config)
 }
 
 /// Faults in the query are told as such, whatever checked them.
@@ -326,7 +378,7 @@ pub(crate) fn next_seed(service: u64, jobs: &mut u64) -> u64 {
 }
 
 /// SplitMix64's: neighbouring numbers, unrelated seeds. 0 stays 0.
-fn mixed(mut z: u64) -> u64 {
+pub(crate) fn mixed(mut z: u64) -> u64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
     z ^ (z >> 31)

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use glam::{DMat4, DQuat, DVec3};
-use rebake_core::{Budget, Edit, LightMap, Observer, Progress, World, bake};
+use rebake_core::{Budget, Edit, LightMap, Observer, Progress, Snapshot, World, bake};
 use serde_json::json;
 
 use super::report::ReferenceReport;
@@ -223,7 +223,7 @@ impl Observer for Rebaking<'_> {
         now >= self.track.end() || self.has_light.load(Ordering::Relaxed) && self.track.step_at(now) != self.step
     }
 
-    fn snapshot(&self, map: &Arc<LightMap>, _: &Progress) {
+    fn snapshot(&self, map: &Arc<LightMap>, _: Snapshot, _: &Progress) {
         let values = self.mode.values(map).into_owned();
         let seen = Seen { seconds: self.start.elapsed().as_secs_f64(), values };
         self.shown.lock().unwrap_or_else(PoisonError::into_inner).push(seen);

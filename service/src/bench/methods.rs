@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use rebake_core::paper::{Equation, PaperOptions, paper_update};
 use rebake_core::path::path_trace;
-use rebake_core::{Budget, LightMap, Observer, Progress, Unobserved, World, bake, update};
+use rebake_core::{Budget, LightMap, Observer, Progress, Snapshot, Unobserved, World, bake, update};
 
 use super::PreparedCase;
 
@@ -163,7 +163,7 @@ impl Observer for Clock {
         if affordable < so_far.samples_per_element / 4 { 0 } else { affordable.min(proposed) }
     }
 
-    fn snapshot(&self, map: &Arc<LightMap>, progress: &Progress) {
+    fn snapshot(&self, map: &Arc<LightMap>, _: Snapshot, progress: &Progress) {
         let timed = Timed {
             map: Arc::clone(map),
             seconds: self.start.seconds(),

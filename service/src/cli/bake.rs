@@ -11,7 +11,7 @@ use indicatif::ProgressBar;
 use rebake::Mode;
 use rebake_core::export::{lightmap_exr, lightmap_glb};
 use rebake_core::scene::{LoadLimits, Scene, load_path};
-use rebake_core::{Budget, LightMap, Observer, Progress, World, WorldOptions};
+use rebake_core::{Budget, LightMap, Observer, Progress, Snapshot, World, WorldOptions};
 
 use super::exit::{self, Interrupted};
 use super::remote::Replacement;
@@ -243,7 +243,7 @@ impl Observer for Watch {
         }
     }
 
-    fn snapshot(&self, map: &Arc<LightMap>, progress: &Progress) {
+    fn snapshot(&self, map: &Arc<LightMap>, _: Snapshot, progress: &Progress) {
         let mut seen = self.seen();
         seen.map = Some(Arc::clone(map));
         seen.samples = progress.samples_per_element;

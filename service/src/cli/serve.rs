@@ -52,7 +52,7 @@ pub(super) struct ServeArgs {
     #[command(flatten)]
     limits: LimitArgs,
     /// Refine light maps while no job waits, until their stated error is SHARE of their mean light. Every refined map
-    /// is a new version: edits with `If-Match` may have to be repeated
+    /// is a new version
     #[arg(long, value_name = "SHARE", env = "REBAKE_IDLE_REFINE", num_args = 0..=1, require_equals = true,
         default_missing_value = "0.01", value_parser = super::values::positive)]
     idle_refine: Option<f64>,

@@ -38,7 +38,7 @@ pub struct Client {
 pub struct EditOptions {
     /// Makes the request safe to repeat.
     pub idempotency_key: Option<String>,
-    /// Refuse where the scene's version is another one.
+    /// Refuse unless the scene has accepted exactly so many edits, as its `ETag` tells.
     pub if_match: Option<u64>,
 }
 
@@ -130,8 +130,8 @@ impl Client {
         if let Some(key) = &options.idempotency_key {
             request = request.header("Idempotency-Key", key);
         }
-        if let Some(version) = options.if_match {
-            request = request.header(header::IF_MATCH, format!("\"{version}\""));
+        if let Some(accepted) = options.if_match {
+            request = request.header(header::IF_MATCH, format!("\"{accepted}\""));
         }
         self.json(request).await
     }

@@ -8,13 +8,14 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
+use super::State;
 use super::phases::PhaseClock;
 use super::scheduler::{self, Settled, Spell};
-use super::{State, Stop};
+use super::stop::Stop;
 use crate::api::next_seed;
 use crate::compute::catching;
 use crate::config::IdleRefine;
-use crate::engine::{Budget, LightMap, Observer, Progress, mean_light};
+use crate::engine::{Budget, LightMap, Observer, Progress, Snapshot, mean_light};
 use crate::state::App;
 use crate::store::lighting::Lit;
 use crate::store::scenes::SceneEntry;
@@ -43,7 +44,7 @@ impl App {
     fn end_refining(self: &Arc<App>, stop: &Stop) {
         let mut state = self.jobs.lock();
         state.idle = None;
-        match stop.is_requested() {
+        match stop.must_end() {
             // The job that came may have ended by now, and nothing else would begin again.
             true => self.start_what_can(&mut state),
             false => drop(self.jobs.running.send_replace(state.running())),
@@ -53,7 +54,7 @@ impl App {
 
 /// Spell after spell, until all scenes are good enough.
 fn refine_all(app: &Arc<App>, bounds: IdleRefine, stop: &Stop) {
-    while !stop.is_requested()
+    while !stop.must_end()
         && let Some(spell) = next_spell(app, bounds, stop)
     {
         let Some(scene) = app.scenes.get(spell.scene) else { continue };
@@ -66,7 +67,7 @@ fn refine_all(app: &Arc<App>, bounds: IdleRefine, stop: &Stop) {
         if after > before {
             app.save_soon(&scene);
         }
-        if !reached && !stop.is_requested() {
+        if !reached && !stop.must_end() {
             scene.refined.store(after, Ordering::Relaxed);
         }
     }
@@ -75,7 +76,7 @@ fn refine_all(app: &Arc<App>, bounds: IdleRefine, stop: &Stop) {
 fn next_spell(app: &App, bounds: IdleRefine, stop: &Stop) -> Option<Spell> {
     let mut scenes = Vec::new();
     for scene in app.scenes.all() {
-        if stop.is_requested() {
+        if stop.must_end() {
             return None;
         }
         let Some((published, map)) = scene.settled() else { continue };
@@ -135,7 +136,7 @@ impl IdleObserver<'_> {
 
 impl Observer for IdleObserver<'_> {
     fn canceled(&self) -> bool {
-        self.stop.is_requested() || self.scene.is_deleted()
+        self.stop.must_end() || self.scene.is_deleted()
     }
 
     fn progress(&self, progress: &Progress) {
@@ -147,9 +148,12 @@ impl Observer for IdleObserver<'_> {
         if self.lock().is_over { 0 } else { proposed }
     }
 
-    fn snapshot(&self, map: &Arc<LightMap>, progress: &Progress) {
+    fn snapshot(&self, map: &Arc<LightMap>, snapshot: Snapshot, progress: &Progress) {
         let mut held = self.lock();
-        let better = progress.estimated_rmse.filter(|stated| *stated < held.stated);
+        let better = match snapshot {
+            Snapshot::Complete { stated } => stated.filter(|stated| *stated < held.stated),
+            Snapshot::Estimate | Snapshot::Partial => None,
+        };
         if held.is_over || self.canceled() || !self.app.may_publish(self.scene) {
             return;
         }

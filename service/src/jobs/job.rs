@@ -17,6 +17,8 @@ pub enum JobKind {
     Bake,
     /// Brings the light map up to date after an edit.
     Edit,
+    /// Brings the light map closer to the scene's target, after an edit or a new target.
+    Refine,
 }
 
 impl JobKind {
@@ -25,6 +27,16 @@ impl JobKind {
         match self {
             JobKind::Bake => "bake",
             JobKind::Edit => "edit",
+            JobKind::Refine => "refine",
+        }
+    }
+
+    /// Whether it works towards the scene's target. Edits of the scene go before it, whenever they come: it makes way for them
+    /// and goes on from the light that they leave.
+    pub fn is_for_target(self) -> bool {
+        match self {
+            JobKind::Bake | JobKind::Refine => true,
+            JobKind::Edit => false,
         }
     }
 }
@@ -196,6 +208,11 @@ impl Job {
         if self.state == JobState::Succeeded {
             self.progress.fraction = 1.0;
         }
+    }
+
+    /// Order of the jobs of one scene: edits as they came, then what works towards the target.
+    pub fn place(&self) -> (bool, JobNumber) {
+        (self.kind.is_for_target(), self.number)
     }
 
     /// Whether its turn may come: it waits, and no other job does its work.

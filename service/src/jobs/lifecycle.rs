@@ -5,10 +5,11 @@ use std::sync::Arc;
 use jiff::Timestamp;
 use rayon::ThreadPool;
 
-use super::observer::JobBudget;
+use super::budget::JobBudget;
 use super::queue::{Change, Full, Job, JobKind, JobNumber, JobProgress, JobState, Outcome, SceneNumber};
 use super::scheduler::{self, Decision};
-use super::{JobSpec, State, Stop, merge, worker};
+use super::stop::{Asked, Stop};
+use super::{JobSpec, State, merge, worker};
 use crate::api::types;
 use crate::engine::Progress;
 use crate::metrics::{JobEnd, Metrics};
@@ -95,14 +96,14 @@ impl App {
     pub(crate) fn close_jobs(&self) {
         let mut state = self.jobs.lock();
         state.closed = true;
-        state.idle.iter().for_each(|refining| refining.interrupt());
+        state.idle.iter().for_each(|refining| refining.ask(Asked::Interrupt));
         let open: Vec<JobNumber> =
             state.queue.iter().filter(|job| !job.state.has_ended()).map(|job| job.number).collect();
         for number in open {
             if !self.store.is_durable() {
                 self.cancel_now(&mut state, number);
             } else if let Some(handle) = state.handles.get(&number) {
-                handle.stop.interrupt();
+                handle.stop.ask(Asked::Interrupt);
             }
         }
     }
@@ -135,7 +136,7 @@ impl App {
         if change == Change::Requested
             && let Some(handle) = state.handles.get(&number)
         {
-            handle.stop.interrupt();
+            handle.stop.ask(Asked::Interrupt);
         }
         state.tell(self, number);
         Ok(change)
@@ -168,7 +169,7 @@ impl App {
             Change::Done => state.ended(self, number),
             Change::Requested => {
                 if let Some(handle) = state.handles.get(&number) {
-                    handle.stop.cancel();
+                    handle.stop.ask(Asked::Cancel);
                 }
             }
             Change::Unknown | Change::Ended => {}
@@ -300,7 +301,7 @@ impl App {
                 state.pools.push(pool);
                 break;
             }
-            state.idle.iter().for_each(|refining| refining.interrupt());
+            state.idle.iter().for_each(|refining| refining.ask(Asked::Interrupt));
             state.tell(self, number);
             let budgets: Vec<JobBudget> =
                 batch.iter().filter_map(|job| Some(state.handles.get(job)?.spec.budget)).collect();
@@ -313,9 +314,14 @@ impl App {
             handle.stop = Arc::new(Stop::default());
             let mut spec = handle.spec.clone();
             spec.budget = budgets.into_iter().fold(spec.budget, JobBudget::both);
-            let run = worker::Run { job: number, scene: scene.clone(), stop: handle.stop.clone(), spec };
+            let kind = state.queue.get(number).map_or(JobKind::Edit, |job| job.kind);
+            let (stop, accepted) = (handle.stop.clone(), handle.accepted);
+            let run = worker::Run { job: number, kind, scene: scene.clone(), stop, accepted, spec };
             state.supersede(scene.number);
             worker::spawn(self.clone(), run, &pool);
+        }
+        for number in scheduler::make_room(&state.queue) {
+            state.handles.get(&number).into_iter().for_each(|handle| handle.stop.ask(Asked::MakeRoom));
         }
         self.refine_if_idle(state);
         self.jobs.running.send_replace(state.running());
@@ -323,18 +329,16 @@ impl App {
 }
 
 impl State {
-    /// Tells the job of a scene where the next one is the next step of the same drag, or a newer edit of what goes tile
-    /// by tile.
+    /// Tells the job of a scene where an edit waits behind it, and whether that is the next step of the same drag.
     fn supersede(&self, scene: SceneNumber) {
         let Some(running) = self.queue.running_on(scene) else { return };
-        let next = self.queue.open_of(scene).into_iter().find(|job| *job > running);
-        let next = next.and_then(|job| Some((self.queue.get(job)?, self.handles.get(&job)?)));
-        if let Some((job, next)) = next
+        let edits = self.queue.iter().filter(|job| job.scene == scene && job.kind == JobKind::Edit && job.is_in_line());
+        let next = edits.min_by_key(|job| job.number).and_then(|job| self.handles.get(&job.number));
+        if let Some(next) = next
             && let Some(handle) = self.handles.get(&running)
-            && job.is_in_line()
-            && (handle.spec.yields() && job.kind == JobKind::Edit || is_next_step(&handle.spec, &next.spec))
         {
-            handle.stop.supersede();
+            let is_next_step = is_next_step(&handle.spec, &next.spec);
+            handle.stop.ask(if is_next_step { Asked::NextStep } else { Asked::NewerEdit });
         }
     }
 
@@ -350,13 +354,15 @@ impl State {
         };
         let mut last = handle.spec.sequence;
         let mut edits = merge::simplify(upto(0, last));
+        // Where there is no light to go on from, one bake lights them all.
+        let bakes = scene.needs_bake();
         let behind = self.queue.iter().filter(|other| other.scene == job.scene && other.number > first);
-        for other in behind.filter(|other| other.is_in_line()) {
-            let Some(handle) = self.handles.get(&other.number).filter(|_| other.kind == JobKind::Edit) else { break };
+        for other in behind.filter(|other| other.is_in_line() && other.kind == JobKind::Edit) {
+            let Some(handle) = self.handles.get(&other.number) else { break };
             let next = upto(last, handle.spec.sequence);
             let apart = edits.len() + merge::count(&next);
             let together = merge::simplify(edits.iter().cloned().chain(next));
-            if together.len() >= apart {
+            if together.len() >= apart && !bakes {
                 break;
             }
             (edits, last) = (together, handle.spec.sequence);

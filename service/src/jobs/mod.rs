@@ -1,25 +1,29 @@
 //! Jobs: [`queue`] is their state, [`scheduler`] decides, `worker` runs, `observer` speaks for the service while
-//! the engine computes, `lifecycle` is how jobs come, change and go, `idle` what happens while there are none.
+//! the engine computes, `lifecycle` is how jobs come, change and go, `target` what a scene works towards, `idle` what happens while there are none.
 
+pub(crate) mod budget;
 mod idle;
 pub mod job;
 mod lifecycle;
 pub(crate) mod merge;
-pub(crate) mod observer;
+mod observer;
 mod phases;
 pub mod queue;
 pub mod scheduler;
+mod stop;
+mod target;
 pub(crate) mod worker;
 
 #[cfg(test)]
 mod tests;
 
 use std::collections::{HashMap, VecDeque};
-use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 use jiff::Timestamp;
 use rayon::{ThreadPool, ThreadPoolBuildError};
+use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 
 use crate::api::types;
@@ -29,28 +33,34 @@ use crate::engine::{Budget, Importance};
 use crate::events::EventLog;
 use crate::state::App;
 use crate::store::lighting::Sequence;
-use crate::store::records::JobRecord;
+use crate::store::records::{JobRecord, stored_importance};
 use crate::store::scenes::SceneEntry;
-use observer::JobBudget;
+use budget::JobBudget;
 use queue::{Job, JobKind, JobNumber, Priority, Queue, QueueLimits};
+use stop::Stop;
 
 /// What to do for a scene.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct JobSpec {
-    pub(crate) kind: JobKind,
-    pub(crate) priority: Priority,
     pub(crate) budget: JobBudget,
     /// What comes first.
+    #[serde(flatten, with = "stored_importance")]
     pub(crate) importance: Importance,
-    pub(crate) seed: u64,
     /// Lights that are dragged, where the request does nothing else: an estimate comes first, and the next step of the
     /// drag ends the rest.
+    #[serde(default)]
     pub(crate) dragged: Vec<String>,
+    pub(crate) seed: u64,
     /// Light everything up to this edit.
     pub(crate) sequence: Sequence,
 }
 
 impl JobSpec {
+    /// All of the scene alike, up to an edit.
+    pub(crate) fn new(budget: JobBudget, seed: u64, sequence: Sequence) -> JobSpec {
+        JobSpec { budget, importance: Importance::default(), dragged: Vec::new(), seed, sequence }
+    }
+
     /// A newer edit of the scene ends the order of its tiles: what somebody looks at then is elsewhere. Steps of a drag
     /// have a rule of their own.
     pub(crate) fn yields(&self) -> bool {
@@ -60,43 +70,6 @@ impl JobSpec {
     /// What the engine is told; time is the observer's business.
     fn engine_budget(&self) -> Budget {
         Budget { samples_per_element: self.budget.samples_per_element, target_rmse: self.budget.target_rmse }
-    }
-}
-
-/// Asks a running job to stop.
-#[derive(Debug, Default)]
-pub(crate) struct Stop(AtomicU8, AtomicBool);
-
-impl Stop {
-    const INTERRUPT: u8 = 1;
-    const CANCEL: u8 = 2;
-
-    /// It goes on later, from where it started.
-    pub(crate) fn interrupt(&self) {
-        self.0.fetch_max(Stop::INTERRUPT, Ordering::Relaxed);
-    }
-
-    /// It ends with what it has.
-    pub(crate) fn cancel(&self) {
-        self.0.fetch_max(Stop::CANCEL, Ordering::Relaxed);
-    }
-
-    /// The next step of a drag waits: this one ends with its estimate, and has succeeded. Or a newer edit does: tiles
-    /// that are not done are left, and it ends with its first complete map that states its error.
-    pub(crate) fn supersede(&self) {
-        self.1.store(true, Ordering::Relaxed);
-    }
-
-    pub(crate) fn is_superseded(&self) -> bool {
-        self.1.load(Ordering::Relaxed)
-    }
-
-    pub(crate) fn is_requested(&self) -> bool {
-        self.0.load(Ordering::Relaxed) != 0
-    }
-
-    pub(crate) fn is_cancel(&self) -> bool {
-        self.0.load(Ordering::Relaxed) == Stop::CANCEL
     }
 }
 
@@ -125,11 +98,22 @@ struct State {
 /// Jobs whose events are kept whole after their end.
 const KEPT_WHOLE: usize = 32;
 
+/// What clients are told of a job that the queue does not know.
+#[derive(Clone, Debug)]
+pub(crate) struct About {
+    /// The scene's id.
+    pub(crate) scene: String,
+    /// Up to which of the scene's accepted edits it lights.
+    pub(crate) sequence: Sequence,
+}
+
 /// What belongs to a job beside its place in the queue.
 struct Handle {
-    scene_id: String,
+    about: About,
     /// Until the job ends: finished jobs must not keep a deleted scene in memory.
     scene: Option<Arc<SceneEntry>>,
+    /// When this life of the service took it in: time budgets count from there.
+    accepted: Instant,
     events: Arc<EventLog>,
     /// Of the present run.
     stop: Arc<Stop>,
@@ -140,7 +124,8 @@ impl Jobs {
     pub(crate) fn new(config: &Config) -> Result<Jobs, ThreadPoolBuildError> {
         let limits = &config.limits;
         let slots = config.job_slots.max(1);
-        let pools = (1..=slots)
+        // One more than slots, for what is urgent.
+        let pools = (1..=slots + 1)
             .map(|slot| build_pool(&format!("job{slot}"), config.threads).map(Arc::new))
             .collect::<Result<_, _>>()?;
         let queue = Queue::new(QueueLimits {
@@ -159,25 +144,24 @@ impl Jobs {
         look(&self.lock().queue)
     }
 
-    /// A job with its scene's id.
-    pub(crate) fn get(&self, number: JobNumber) -> Option<(Job, String)> {
+    /// A job with what it is about.
+    pub(crate) fn get(&self, number: JobNumber) -> Option<(Job, About)> {
         let state = self.lock();
         let job = state.queue.get(number)?.clone();
-        Some((job, state.handles.get(&number)?.scene_id.clone()))
+        Some((job, state.handles.get(&number)?.about.clone()))
     }
 
-    /// Jobs older than `before` that `wanted` says yes to, newest first, with their scenes' ids.
+    /// Jobs older than `before` that `wanted` says yes to, newest first, with what they are about.
     pub(crate) fn older_than(
         &self,
         before: JobNumber,
         limit: usize,
-        wanted: impl Fn(&Job, &str) -> bool,
-    ) -> Vec<(Job, String)> {
+        wanted: impl Fn(&Job, &About) -> bool,
+    ) -> Vec<(Job, About)> {
         let state = self.lock();
-        let jobs =
-            state.queue.older_than(before).filter_map(|job| Some((job, &state.handles.get(&job.number)?.scene_id)));
-        jobs.filter(|(job, scene)| wanted(job, scene))
-            .map(|(job, scene)| (job.clone(), scene.clone()))
+        let jobs = state.queue.older_than(before).filter_map(|job| Some((job, &state.handles.get(&job.number)?.about)));
+        jobs.filter(|(job, about)| wanted(job, about))
+            .map(|(job, about)| (job.clone(), about.clone()))
             .take(limit)
             .collect()
     }
@@ -210,7 +194,7 @@ impl State {
     /// Tells everybody of a job's state. Under the queue's lock, so that events come in the order of the changes.
     fn tell(&self, app: &App, number: JobNumber) {
         let (Some(job), Some(handle)) = (self.queue.get(number), self.handles.get(&number)) else { return };
-        let data = types::to_event_data(&types::Job::new(&app.ids, job, &handle.scene_id));
+        let data = types::to_event_data(&types::Job::new(&app.ids, job, &handle.about));
         if let Some(scene) = &handle.scene {
             scene.events.push("job", data.clone());
         }
@@ -238,43 +222,25 @@ impl State {
 
     /// What is kept of a job.
     fn record(&self, job: Job) -> Option<JobRecord> {
-        let spec = &self.handles.get(&job.number)?.spec;
-        Some(JobRecord {
-            job,
-            budget: spec.budget,
-            focus: spec.importance.focus.map(Into::into),
-            tiles: spec.importance.tiles.map(Into::into),
-            dragged: spec.dragged.clone(),
-            seed: spec.seed,
-            sequence: spec.sequence,
-        })
+        let spec = self.handles.get(&job.number)?.spec.clone();
+        Some(JobRecord { job, spec })
     }
 
     fn handle(&mut self, app: &App, scene_id: String, scene: Option<Arc<SceneEntry>>, record: &JobRecord) {
-        let spec = JobSpec {
-            kind: record.job.kind,
-            priority: record.job.priority,
-            budget: record.budget,
-            importance: record.importance(),
-            dragged: record.dragged.clone(),
-            seed: record.seed,
-            sequence: record.sequence,
-        };
         let events = Arc::new(EventLog::new(app.config.limits.events, app.first_event));
-        let handle = Handle { scene_id, scene, events, stop: Arc::default(), spec };
+        let about = About { scene: scene_id, sequence: record.spec.sequence };
+        let handle =
+            Handle { about, scene, accepted: Instant::now(), events, stop: Arc::default(), spec: record.spec.clone() };
         self.handles.insert(record.job.number, handle);
     }
 }
 
 /// The record of a job that comes.
-pub(crate) fn new_record(number: JobNumber, scene: &SceneEntry, spec: &JobSpec) -> JobRecord {
-    JobRecord {
-        job: Job::new(number, scene.number, spec.kind, spec.priority, Timestamp::now()),
-        budget: spec.budget,
-        focus: spec.importance.focus.map(Into::into),
-        tiles: spec.importance.tiles.map(Into::into),
-        dragged: spec.dragged.clone(),
-        seed: spec.seed,
-        sequence: spec.sequence,
-    }
+pub(crate) fn new_record(
+    number: JobNumber,
+    scene: &SceneEntry,
+    (kind, priority): (JobKind, Priority),
+    spec: JobSpec,
+) -> JobRecord {
+    JobRecord { job: Job::new(number, scene.number, kind, priority, Timestamp::now()), spec }
 }

@@ -260,6 +260,11 @@ impl Queue {
         self.jobs.range(..before).rev().map(|(_, job)| job)
     }
 
+    /// Whether a job that has not ended works towards a scene's target.
+    pub fn has_target_work(&self, scene: SceneNumber) -> bool {
+        self.iter().any(|job| job.scene == scene && job.kind.is_for_target() && !job.state.has_ended())
+    }
+
     /// Jobs that run.
     pub fn running(&self) -> usize {
         self.running_of.len()
@@ -279,7 +284,8 @@ impl Queue {
     pub fn current(&self, scene: SceneNumber) -> Option<JobNumber> {
         self.running_on(scene).or_else(|| {
             self.waiting_of.get(&scene)?;
-            self.iter().find(|job| job.scene == scene && job.state == JobState::Queued).map(|job| job.number)
+            let waiting = self.iter().filter(|job| job.scene == scene && job.state == JobState::Queued);
+            waiting.min_by_key(|job| job.place()).map(|job| job.number)
         })
     }
 

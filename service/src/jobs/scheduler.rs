@@ -3,7 +3,7 @@
 use std::cmp::Reverse;
 use std::collections::HashMap;
 
-use super::queue::{Job, JobNumber, Priority, Queue, SceneNumber};
+use super::queue::{Job, JobKind, JobNumber, JobState, Priority, Queue, SceneNumber};
 
 /// What to do next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,26 +19,41 @@ const AGEING_TURNS: u64 = 8;
 
 /// Decides on one step. To be asked again until it says [`Decision::Wait`].
 ///
-/// One job per scene at a time, in order of arrival. Between scenes the highest priority goes first; among equals the
-/// one whose last start is longest ago, so that a scene with a long queue takes one turn like every other.
+/// One job per scene at a time: edits in order of arrival, then what works towards the target. Between scenes the highest priority goes first; among equals the
+/// one whose last start is longest ago, so that a scene with a long queue takes one turn like every other. Where all slots are taken, one edit
+/// of high priority runs beside them.
 pub fn tick(queue: &Queue, slots: usize) -> Decision {
-    if queue.running() >= slots {
-        return Decision::Wait;
-    }
+    let is_free = |job: &Job, priority: Priority| {
+        let beside = job.kind == JobKind::Edit && priority == Priority::High;
+        queue.running() < slots + usize::from(beside)
+    };
     // The first in line of each scene, with the highest priority of all that wait behind it.
     let mut first_of: HashMap<SceneNumber, (&Job, Priority)> = HashMap::new();
     for job in queue.iter().filter(|job| job.is_in_line() && queue.running_on(job.scene).is_none()) {
-        let (_, priority) = first_of.entry(job.scene).or_insert((job, job.priority));
+        let (first, priority) = first_of.entry(job.scene).or_insert((job, job.priority));
+        if job.place() < first.place() {
+            *first = job;
+        }
         *priority = (*priority).max(job.priority);
     }
     first_of
         .into_values()
+        .filter(|(job, priority)| is_free(job, *priority))
         .min_by_key(|(job, priority)| {
             let last_turn = queue.last_turn(job.scene);
             let waited = queue.turn() - last_turn.max(job.arrived_turn);
             (Reverse(*priority as u64 + waited / AGEING_TURNS), last_turn, job.number)
         })
         .map_or(Decision::Wait, |(job, _)| Decision::Start(job.number))
+}
+
+/// Running jobs that are to make room for a scene that waits, once they have had their share: they work towards targets, and
+/// can go on later from where they are.
+pub fn make_room(queue: &Queue) -> Vec<JobNumber> {
+    let waiting = queue.iter().filter(|job| job.is_in_line() && queue.running_on(job.scene).is_none());
+    let Some(priority) = waiting.map(|job| job.priority).max() else { return Vec::new() };
+    let gives_way = |job: &&Job| job.kind.is_for_target() && job.priority <= priority;
+    queue.iter().filter(|job| job.state == JobState::Running).filter(gives_way).map(|job| job.number).collect()
 }
 
 /// Whether nothing runs and nothing could.

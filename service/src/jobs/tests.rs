@@ -5,7 +5,7 @@ use jiff::Timestamp;
 use super::queue::{
     Change, Full, Job, JobKind, JobNumber, JobProgress, JobState, Outcome, Priority, Queue, QueueLimits, SceneNumber,
 };
-use super::scheduler::{Decision, Settled, Spell, idle, is_idle, tick};
+use super::scheduler::{Decision, Settled, Spell, idle, is_idle, make_room, tick};
 
 const NOW: Timestamp = Timestamp::UNIX_EPOCH;
 
@@ -45,28 +45,63 @@ fn a_life_of_a_queue() {
     edit(&mut queue, 1);
     push(&mut queue, 2, JobKind::Bake, Priority::Normal).unwrap();
     edit(&mut queue, 1);
-    assert_eq!(start_all(&mut queue, 2), [1, 3]);
-    queue.report(1, JobProgress { fraction: 0.25, ..JobProgress::default() });
+    assert_eq!(start_all(&mut queue, 2), [2, 3], "an edit goes before the bake");
+    queue.report(2, JobProgress { fraction: 0.25, ..JobProgress::default() });
     assert_eq!(queue.cancel(4, NOW), Change::Done);
-    assert_eq!(queue.cancel(1, NOW), Change::Requested);
+    assert_eq!(queue.cancel(2, NOW), Change::Requested);
     assert_eq!(
         queue.to_string(),
-        "1 scene 1 bake running (to be canceled) 25 %\n\
-         2 scene 1 edit queued\n\
+        "1 scene 1 bake queued\n\
+         2 scene 1 edit running (to be canceled) 25 %\n\
          3 scene 2 bake running\n\
          4 scene 1 edit canceled\n"
     );
-    assert!(finish(&mut queue, 1, &Outcome::Canceled));
+    assert!(finish(&mut queue, 2, &Outcome::Canceled));
     assert!(finish(&mut queue, 3, &Outcome::Failed("the engine broke".to_owned())));
-    assert_eq!(start_all(&mut queue, 2), [2]);
-    assert!(finish(&mut queue, 2, &Outcome::Succeeded));
+    assert_eq!(start_all(&mut queue, 2), [1]);
+    assert!(finish(&mut queue, 1, &Outcome::Succeeded));
     assert_eq!(
         queue.to_string(),
-        "1 scene 1 bake canceled 25 %\n\
-         2 scene 1 edit succeeded 100 %\n\
+        "1 scene 1 bake succeeded 100 %\n\
+         2 scene 1 edit canceled 25 %\n\
          3 scene 2 bake failed: the engine broke\n\
          4 scene 1 edit canceled\n"
     );
+}
+
+#[test]
+fn what_works_towards_the_target_goes_on_behind_edits() {
+    let mut queue = queue(10, 10, 10);
+    let bake = push(&mut queue, 1, JobKind::Bake, Priority::High).unwrap();
+    assert_eq!(start_all(&mut queue, 2), [bake]);
+    let edits = [edit(&mut queue, 1), edit(&mut queue, 1)];
+    assert!(finish(&mut queue, bake, &Outcome::Interrupted));
+    for next in edits {
+        assert_eq!((queue.current(1), start_all(&mut queue, 2)), (Some(next), vec![next]));
+        assert!(finish(&mut queue, next, &Outcome::Succeeded));
+    }
+    assert!(queue.has_target_work(1) && !queue.has_target_work(2));
+    assert_eq!(start_all(&mut queue, 2), [bake]);
+    assert!(finish(&mut queue, bake, &Outcome::Succeeded));
+    assert!(!queue.has_target_work(1));
+}
+
+#[test]
+fn what_is_urgent_runs_beside_full_slots_and_others_are_made_room_for() {
+    let mut queue = queue(10, 10, 10);
+    let bake = push(&mut queue, 1, JobKind::Bake, Priority::Normal).unwrap();
+    let busy = edit(&mut queue, 2);
+    assert_eq!(start_all(&mut queue, 2), [bake, busy]);
+    assert!(make_room(&queue).is_empty(), "nobody waits");
+    push(&mut queue, 3, JobKind::Refine, Priority::Low).unwrap();
+    assert!(make_room(&queue).is_empty(), "what waits is less urgent");
+    let urgent = push(&mut queue, 4, JobKind::Edit, Priority::High).unwrap();
+    let second = push(&mut queue, 5, JobKind::Edit, Priority::High).unwrap();
+    push(&mut queue, 6, JobKind::Bake, Priority::High).unwrap();
+    assert_eq!(start_all(&mut queue, 2), [urgent], "one, and no bake");
+    assert_eq!(make_room(&queue), [bake], "edits run to their end");
+    assert!(finish(&mut queue, bake, &Outcome::Interrupted) && finish(&mut queue, urgent, &Outcome::Succeeded));
+    assert_eq!(start_all(&mut queue, 2).first(), Some(&second));
 }
 
 #[test]

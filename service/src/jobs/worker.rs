@@ -1,28 +1,33 @@
 //! Runs one job on the pool of its slot.
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use rayon::ThreadPool;
 use rebake_core::edit::Cost;
 
-use super::merge::{self, dragged_by};
-use super::observer::JobObserver;
-use super::queue::{JobNumber, Outcome};
-use super::{JobSpec, Stop};
+use super::merge::dragged_by;
+use super::observer::{JobObserver, Piece, Yields};
+use super::queue::{JobKind, JobNumber, Outcome};
+use super::stop::{Asked, Stop};
+use super::{JobSpec, merge};
+use crate::api::mixed;
 use crate::compute::catching;
 use crate::engine::{
-    Canceled, Edit, LightMap, Pass, Progress, Transition, Update, World, carry_over, have_same_slots, lengthened,
-    with_layers_of,
+    Budget, Canceled, Edit, LightMap, Pass, Progress, Snapshot, Transition, Update, World, carry_over, have_same_slots,
+    lengthened, with_layers_of,
 };
 use crate::state::App;
-use crate::store::lighting::{Sequence, Unlit, Work};
+use crate::store::lighting::{Samples, Sequence, Unlit, Work};
 use crate::store::scenes::SceneEntry;
 
 /// A job that starts.
 pub(crate) struct Run {
     pub(crate) job: JobNumber,
+    pub(crate) kind: JobKind,
     pub(crate) scene: Arc<SceneEntry>,
     pub(crate) stop: Arc<Stop>,
+    pub(crate) accepted: Instant,
     pub(crate) spec: JobSpec,
 }
 
@@ -30,7 +35,7 @@ pub(crate) struct Run {
 pub(crate) fn spawn(app: Arc<App>, run: Run, pool: &Arc<ThreadPool>) {
     let its_pool = pool.clone();
     pool.spawn(move || {
-        let span = tracing::info_span!("job", job = app.ids.job(run.job), scene = run.scene.id, kind = ?run.spec.kind);
+        let span = tracing::info_span!("job", job = app.ids.job(run.job), scene = run.scene.id, kind = ?run.kind);
         let _in_span = span.entered();
         tracing::info!(samples = run.spec.budget.samples_per_element, seed = run.spec.seed, "started");
         let started = std::time::Instant::now();
@@ -41,20 +46,43 @@ pub(crate) fn spawn(app: Arc<App>, run: Run, pool: &Arc<ThreadPool>) {
         }
         let ms = started.elapsed().as_millis() as u64;
         tracing::info!(?outcome, ms, version = run.scene.published().version, "ended");
-        let (job, scene, sequence) = (run.job, run.scene.clone(), run.spec.sequence);
+        let ended =
+            Ended { scene: run.scene.clone(), sequence: run.spec.sequence, asks_for_more: run.asks_for_more(&outcome) };
+        let job = run.job;
         drop(run);
-        app.finish_job(job, &scene, &outcome, its_pool);
-        after(&app, &scene, sequence);
+        app.finish_job(job, &ended.scene, &outcome, its_pool);
+        after(&app, ended);
     });
 }
 
-/// What may follow a job while nobody waits: geometry of canceled edits behind it, and fresh trees.
-fn after(app: &Arc<App>, scene: &Arc<SceneEntry>, sequence: Sequence) {
+impl Run {
+    /// Whether there may be more to do for the scene's target than was known when the job came: an edit has left its noise, or
+    /// the target is another one by now.
+    fn asks_for_more(&self, outcome: &Outcome) -> bool {
+        let is_new = self.scene.target() != Some(self.spec.budget);
+        *outcome == Outcome::Succeeded && (!self.kind.is_for_target() || is_new)
+    }
+}
+
+/// What is left of a job that has ended.
+struct Ended {
+    scene: Arc<SceneEntry>,
+    sequence: Sequence,
+    asks_for_more: bool,
+}
+
+/// What may follow a job: work towards the scene's target, and while nobody waits geometry of canceled edits behind it, and
+/// fresh trees.
+fn after(app: &Arc<App>, ended: Ended) {
+    let Ended { scene, sequence, asks_for_more } = ended;
     if scene.is_deleted() {
         return;
     }
-    let (app, scene) = (app.clone(), scene.clone());
+    let app = app.clone();
     app.clone().compute.spawn(move || {
+        if asks_for_more {
+            app.work_towards_target(&scene);
+        }
         let (world, accepted) = {
             let head = scene.head.blocking_lock();
             (head.world.clone(), head.sequence)
@@ -77,8 +105,8 @@ fn after(app: &Arc<App>, scene: &Arc<SceneEntry>, sequence: Sequence) {
 
 /// Brings the light map up to date with the job's edit.
 fn light(app: &Arc<App>, run: &Run) -> Outcome {
-    let Run { job, scene, stop, spec } = run;
-    let mut observer = JobObserver::new(app, scene, *job, spec.budget, stop);
+    let Run { job, kind, scene, stop, accepted, spec } = run;
+    let mut observer = JobObserver::new(app, scene, *job, spec.budget, (stop, *accepted));
     if app.may_publish(scene)
         && let Some(published) = scene.show(spec.sequence)
     {
@@ -88,31 +116,72 @@ fn light(app: &Arc<App>, run: &Run) -> Outcome {
     let (work, shown, floor) = scene.work(app.config.limits.unlit_edits);
     match work {
         Work::Bake(world) => {
-            observer.begin(shown, floor);
-            observer.slots = world.slots();
+            let yields = if kind.is_for_target() { Yields::AtOnce } else { Yields::OnceStated };
+            observer.begin(Piece { sequence: shown, slots: world.slots(), floor, yields, before: 0 });
             let result = app.config.engine.bake(&world, &spec.engine_budget(), spec.seed, &observer);
-            settle_end(&observer, scene, shown, result).map_or_else(|outcome| outcome, |_| Outcome::Succeeded)
+            match settle_end(&observer, scene, (shown, Samples::Fresh), result) {
+                Ok(_) => done(run),
+                Err(outcome) => outcome,
+            }
         }
         Work::Update(mut map, due) => {
             let steps = steps(due);
             let last = steps.len().saturating_sub(1);
             for (i, step) in steps.into_iter().enumerate() {
-                observer.begin(step.sequence, floor.filter(|_| i == last));
-                observer.slots = step.slots;
-                match light_step(run, &mut observer, map, &step, (i, i == last)) {
+                let floor = floor.filter(|_| i == last);
+                let yields = if i == last { step.yields(run) } else { Yields::Never };
+                observer.begin(Piece { sequence: step.sequence, slots: step.slots, floor, yields, before: 0 });
+                match light_step(run, &observer, map, &step, (i, i == last)) {
                     Ok(lit) => map = lit,
                     Err(outcome) => return outcome,
                 }
             }
-            Outcome::Succeeded
+            match kind.is_for_target() {
+                true => refine(run, &mut observer, &map, (shown, floor)),
+                false => Outcome::Succeeded,
+            }
         }
     }
+}
+
+/// Goes on towards the target from a map that is right for `sequence`. `floor` is the stated error of what is published.
+fn refine(
+    run: &Run,
+    observer: &mut JobObserver<'_>,
+    map: &Arc<LightMap>,
+    (sequence, floor): (Sequence, Option<f32>),
+) -> Outcome {
+    let Run { scene, spec, .. } = run;
+    let (world, before) = (scene.published().world.clone(), scene.samples());
+    let left = spec.budget.samples_per_element.saturating_sub(before);
+    let is_good = |target: f32| map.estimated_rmse(world.areas()) <= target;
+    let is_reached = left == 0 || spec.budget.target_rmse.is_some_and(is_good) || observer.is_out_of_time();
+    if is_reached || map.len() != world.slots() {
+        return done(run);
+    }
+    observer.begin(Piece { sequence, slots: world.slots(), floor, yields: Yields::AtOnce, before });
+    let budget = Budget { samples_per_element: left, ..spec.engine_budget() };
+    // Runs of one job must not repeat the samples that the map holds: each has a seed of its own.
+    let seed = mixed(spec.seed ^ u64::from(before) << 32) ^ scene.published().version;
+    let result = observer.app.config.engine.refine(&world, map, &budget, seed, observer);
+    match settle_end(observer, scene, (sequence, Samples::More), result) {
+        Ok(_) => done(run),
+        Err(outcome) => outcome,
+    }
+}
+
+/// The end of a job within its budget. One for the target has reached it, as far as its bounds let it.
+fn done(run: &Run) -> Outcome {
+    if run.kind.is_for_target() {
+        run.scene.reached(&run.spec.budget);
+    }
+    Outcome::Succeeded
 }
 
 /// From `map` to that after a step, the `index`-th of its job; how the job ends where there is none.
 fn light_step(
     run: &Run,
-    observer: &mut JobObserver<'_>,
+    observer: &JobObserver<'_>,
     map: Arc<LightMap>,
     step: &Step,
     (index, is_last): (usize, bool),
@@ -120,7 +189,7 @@ fn light_step(
     let Run { scene, spec, .. } = run;
     let Some(transition) = &step.transition else {
         let map = step.carries.iter().fold(map, |map, transition| carry_over(transition, &map));
-        scene.set_lit(step.sequence, map.clone());
+        scene.set_lit(step.sequence, map.clone(), Samples::Same);
         return Ok(map);
     };
     scene.earlier.remember(&transition.before, &map);
@@ -132,9 +201,7 @@ fn light_step(
         return Ok(lit);
     }
     scene.drag.drop_stale(&transition.after);
-    observer.drags = is_last && !dragged_by(&step.edits).is_empty();
-    observer.yields = is_last && spec.yields();
-    if observer.drags {
+    if is_last && step.drags() {
         first_frame(observer, scene, transition, &map, spec.seed);
     }
     let shortcut = scene.earlier.shortcut(&map, transition, &step.edits);
@@ -145,13 +212,13 @@ fn light_step(
     let budget = &spec.engine_budget();
     let importance = Some(&spec.importance).filter(|_| is_last);
     let work = Update { transition, map, budget, importance, seed: spec.seed.wrapping_add(index as u64) };
-    let result = observer.app.config.engine.update(&work, &*observer).map(|map| lengthened(&map, step.slots));
+    let result = observer.app.config.engine.update(&work, observer).map(|map| lengthened(&map, step.slots));
     if result.is_err() && observer.ended_as_estimate() {
         // The estimate stays in sight, but the next step starts from the light that is right.
         step.as_unlit().into_iter().for_each(|unlit| scene.fold_unlit(unlit));
         return Err(Outcome::Succeeded);
     }
-    let lit = settle_end(observer, scene, step.sequence, result)?;
+    let lit = settle_end(observer, scene, (step.sequence, |_| Samples::Same), result)?;
     scene.earlier.computed(&transition.before, map, edits, &lit, observer.was_cut());
     Ok(lit)
 }
@@ -170,16 +237,16 @@ fn first_frame(
         None => scene.drag.keep(observer.app.config.engine.drag_basis(&transition.after, seed, observer).ok()?),
     };
     let frame = basis.frame(transition, map, seed, observer).ok()??;
-    observer.publish_estimate(&Arc::new(frame), &Progress::at_once(Pass::Direct, 1, None));
+    observer.publish(&Arc::new(frame), Snapshot::Estimate, &Progress::at_once(Pass::Direct, 1, None));
     Some(())
 }
 
 /// Publishes a map that was there before an edit that this one takes back.
 fn restore(observer: &JobObserver<'_>, scene: &SceneEntry, sequence: Sequence, world: &World, map: &Arc<LightMap>) {
-    let rmse = map.estimated_rmse(world.areas());
-    let progress = Progress::at_once(Pass::FinalGather, observer.budget.samples_per_element, Some(rmse));
-    observer.publish(map, &progress);
-    scene.set_lit(sequence, map.clone());
+    let stated = Some(map.estimated_rmse(world.areas()));
+    let progress = Progress::at_once(Pass::FinalGather, observer.budget.samples_per_element, stated);
+    observer.publish(map, Snapshot::Complete { stated }, &progress);
+    scene.set_lit(sequence, map.clone(), Samples::Same);
     tracing::info!("restored");
 }
 
@@ -201,6 +268,20 @@ impl Step {
     /// Nothing but strengths of lights changes.
     fn relights(&self) -> bool {
         self.edits.iter().all(|edit| matches!(edit.cost(), Cost::Weights))
+    }
+
+    /// Nothing but lights that are dragged.
+    fn drags(&self) -> bool {
+        !dragged_by(&self.edits).is_empty()
+    }
+
+    /// What it makes way for, as the last step of a job.
+    fn yields(&self, run: &Run) -> Yields {
+        match () {
+            () if self.drags() => Yields::ToNextStep,
+            () if run.spec.yields() || run.kind.is_for_target() => Yields::OnceStated,
+            () => Yields::Never,
+        }
     }
 
     /// As one edit that is still to be lit, where clients know its slots.
@@ -254,19 +335,25 @@ fn merged(due: &[Unlit]) -> Option<Step> {
 fn settle_end(
     observer: &JobObserver<'_>,
     scene: &SceneEntry,
-    sequence: Sequence,
+    (sequence, samples): (Sequence, fn(u32) -> Samples),
     result: Result<Arc<LightMap>, Canceled>,
 ) -> Result<Arc<LightMap>, Outcome> {
-    let (latest, held_back) = observer.take_latest();
-    let stop = observer.stop;
-    if result.is_err() && stop.is_requested() && !stop.is_cancel() {
+    let complete = observer.take_complete();
+    let count = samples(complete.as_ref().map_or(0, |complete| complete.samples));
+    let asked = observer.stop.asked();
+    if result.is_err() && observer.has_made_way() {
+        complete.into_iter().for_each(|complete| scene.set_lit(sequence, complete.map, count));
         return Err(Outcome::Interrupted);
     }
-    let was_canceled = result.is_err() && stop.is_cancel();
+    if result.is_err() && asked == Asked::Interrupt {
+        return Err(Outcome::Interrupted);
+    }
+    let was_canceled = result.is_err() && asked == Asked::Cancel;
+    let (latest, held_back) = complete.map_or((None, None), |complete| (Some(complete.map), complete.held_back));
     let Some(map) = result.ok().or(latest) else { return Err(Outcome::Canceled) };
     if let Some(progress) = held_back.filter(|_| !was_canceled) {
-        observer.publish(&map, &progress);
+        observer.publish(&map, Snapshot::Complete { stated: progress.estimated_rmse }, &progress);
     }
-    scene.set_lit(sequence, map.clone());
+    scene.set_lit(sequence, map.clone(), count);
     if was_canceled { Err(Outcome::Canceled) } else { Ok(map) }
 }

@@ -16,9 +16,12 @@ use std::collections::BTreeMap;
 use std::ops::Bound::{Excluded, Included};
 use std::sync::Arc;
 
+use serde::{Deserialize, Serialize};
+
 use super::records::LightRecord;
 use super::versions::Published;
 use crate::engine::{Edit, LightMap, Transition, World, carry_over};
+use crate::jobs::budget::JobBudget;
 
 /// Sequence number of an accepted edit request; 0 is the scene as uploaded.
 pub(crate) type Sequence = u64;
@@ -32,6 +35,26 @@ pub(crate) struct Unlit {
     pub(crate) edits: Arc<[Edit]>,
 }
 
+/// What a map has in samples per element beside the one before it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Samples {
+    /// It is baked from scratch, with so many.
+    Fresh(u32),
+    /// It was refined with so many more.
+    More(u32),
+    /// It was brought up to date.
+    Same,
+}
+
+/// How far work towards the scene's target has come.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Effort {
+    /// Samples per element of the last bake and of what has refined it since.
+    pub(crate) samples: u32,
+    /// A bound of the target was reached: samples, error or time.
+    pub(crate) is_done: bool,
+}
+
 /// The mutable side of a scene's light; behind one lock, changed by the scene's job and by accepted edits.
 pub(crate) struct Lighting {
     lit: Option<Arc<LightMap>>,
@@ -42,6 +65,7 @@ pub(crate) struct Lighting {
     /// What the published light is right for, where a job computed it.
     right_for: Option<Sequence>,
     unlit: BTreeMap<Sequence, Unlit>,
+    effort: Effort,
 }
 
 /// A map as the engine gave it.
@@ -63,7 +87,14 @@ pub(crate) enum Work {
 
 impl Lighting {
     pub(crate) fn new() -> Lighting {
-        Lighting { lit: None, lit_sequence: 0, shown_sequence: 0, right_for: None, unlit: BTreeMap::new() }
+        Lighting {
+            lit: None,
+            lit_sequence: 0,
+            shown_sequence: 0,
+            right_for: None,
+            unlit: BTreeMap::new(),
+            effort: Effort::default(),
+        }
     }
 
     /// No light, and the world after `sequence` is the published one: the next job bakes.
@@ -84,6 +115,7 @@ impl Lighting {
             shown_sequence: shown,
             right_for: light.about.right_for,
             unlit: unlit.into_iter().map(|unlit| (unlit.sequence, unlit)).collect(),
+            effort: light.about.effort,
         };
         lighting.drop_lit(lit_sequence);
         lighting
@@ -181,9 +213,39 @@ impl Lighting {
     }
 
     /// `map` is right for `sequence`.
-    pub(crate) fn set_lit(&mut self, sequence: Sequence, map: Arc<LightMap>) {
+    pub(crate) fn set_lit(&mut self, sequence: Sequence, map: Arc<LightMap>, samples: Samples) {
         self.lit = Some(map);
+        match samples {
+            Samples::Fresh(samples) => self.effort.samples = samples,
+            Samples::More(more) => self.effort.samples = self.effort.samples.saturating_add(more),
+            Samples::Same => {}
+        }
         self.drop_lit(sequence);
+    }
+
+    pub(crate) fn effort(&self) -> Effort {
+        self.effort
+    }
+
+    /// Notes whether the scene's target is reached.
+    pub(crate) fn set_done(&mut self, is_done: bool) {
+        self.effort.is_done = is_done;
+    }
+
+    /// There is no light to go on from.
+    pub(crate) fn needs_bake(&self) -> bool {
+        self.lit.is_none()
+    }
+
+    /// Whether the light is less than a target asks for. Where edits wait for light, that comes first.
+    pub(crate) fn is_behind(&self, published: &Published, target: &JobBudget) -> bool {
+        let Effort { samples, is_done } = self.effort;
+        match (self.settled(published), target.target_rmse) {
+            (None, _) => self.lit.is_none(),
+            (Some(_), _) if samples >= target.samples_per_element => false,
+            (Some(map), Some(rmse)) => map.estimated_rmse(published.world.areas()) > rmse,
+            (Some(_), None) => !is_done,
+        }
     }
 
     /// Puts one edit in the place of all that are not lit yet up to its own, which add up to it: a long drag must not
@@ -200,6 +262,7 @@ impl Lighting {
     pub(crate) fn distrust(&mut self) {
         self.lit = None;
         self.right_for = None;
+        self.effort = Effort::default();
         self.drop_lit(self.shown_sequence);
     }
 

@@ -16,7 +16,7 @@ use std::fmt::{Debug, Display};
 use std::io;
 
 use crate::jobs::queue::{JobNumber, SceneNumber};
-use records::{Accepted, JobRecord, LightRecord, SceneRecord};
+use records::{Accepted, JobRecord, LightRecord, SceneChange, SceneRecord};
 
 /// Something could not be kept or found again.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -61,6 +61,7 @@ pub(crate) trait Store: Send + Sync + Debug {
         glb: &[u8],
         bake: Option<&JobRecord>,
     ) -> Result<(), StoreError>;
+    fn scene_changed(&self, number: SceneNumber, change: &SceneChange<'_>) -> Result<(), StoreError>;
     fn scene_deleted(&self, number: SceneNumber) -> Result<(), StoreError>;
     fn asset_added(&self, id: &str, glb: &[u8]) -> Result<(), StoreError>;
     fn asset_deleted(&self, id: &str) -> Result<(), StoreError>;
@@ -94,6 +95,10 @@ impl Store for InMemory {
         _glb: &[u8],
         _bake: Option<&JobRecord>,
     ) -> Result<(), StoreError> {
+        Ok(())
+    }
+
+    fn scene_changed(&self, _number: SceneNumber, _change: &SceneChange<'_>) -> Result<(), StoreError> {
         Ok(())
     }
 

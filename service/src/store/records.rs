@@ -6,10 +6,11 @@ use std::sync::Arc;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use super::lighting::Sequence;
+use super::lighting::{Effort, Sequence};
 use super::versions::Lineage;
 use crate::engine::{Focus, Importance, LightMap, TileMode, Tiles};
-use crate::jobs::observer::JobBudget;
+use crate::jobs::JobSpec;
+use crate::jobs::budget::JobBudget;
 use crate::jobs::queue::{Job, JobNumber, SceneNumber};
 use crate::mode::Mode;
 
@@ -29,6 +30,9 @@ pub(crate) struct SceneRecord {
     /// Names of lights with those of their layers.
     #[serde(default)]
     pub(crate) groups: BTreeMap<String, String>,
+    /// What it works towards; none: nothing but its edits.
+    #[serde(default)]
+    pub(crate) target: Option<JobBudget>,
     pub(crate) created_at: Timestamp,
 }
 
@@ -54,26 +58,37 @@ pub(crate) struct StoredSky {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct JobRecord {
     pub(crate) job: Job,
-    pub(crate) budget: JobBudget,
-    pub(crate) focus: Option<StoredFocus>,
-    #[serde(default)]
-    pub(crate) tiles: Option<StoredTiles>,
-    #[serde(default)]
-    pub(crate) dragged: Vec<String>,
-    pub(crate) seed: u64,
-    pub(crate) sequence: Sequence,
+    #[serde(flatten)]
+    pub(crate) spec: JobSpec,
 }
 
-impl JobRecord {
-    /// What comes first.
-    pub(crate) fn importance(&self) -> Importance {
-        Importance { focus: self.focus.map(Into::into), tiles: self.tiles.map(Into::into) }
+/// What comes first, as it is kept.
+pub(crate) mod stored_importance {
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    use super::{Importance, StoredFocus, StoredTiles};
+
+    #[derive(Serialize, Deserialize)]
+    struct Stored {
+        focus: Option<StoredFocus>,
+        #[serde(default)]
+        tiles: Option<StoredTiles>,
+    }
+
+    pub(crate) fn serialize<S: Serializer>(importance: &Importance, serializer: S) -> Result<S::Ok, S::Error> {
+        let Importance { focus, tiles } = *importance;
+        Stored { focus: focus.map(Into::into), tiles: tiles.map(Into::into) }.serialize(serializer)
+    }
+
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Importance, D::Error> {
+        let Stored { focus, tiles } = Stored::deserialize(deserializer)?;
+        Ok(Importance { focus: focus.map(Into::into), tiles: tiles.map(Into::into) })
     }
 }
 
 /// What a client looks at.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) enum StoredFocus {
+enum StoredFocus {
     Camera { eye: [f64; 3], target: [f64; 3], up: [f64; 3], fov_y: f32, aspect: f32 },
     Sphere { point: [f64; 3], radius: f32 },
 }
@@ -103,7 +118,7 @@ impl From<StoredFocus> for Focus {
 
 /// How what comes first is cut up.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct StoredTiles {
+struct StoredTiles {
     size: u32,
     samples: u32,
     mode: StoredMode,
@@ -144,6 +159,13 @@ pub(crate) struct EditRecord<'a> {
     /// Place among the scene's accepted requests, from 1.
     pub(crate) sequence: Sequence,
     pub(crate) body: &'a [u8],
+}
+
+/// What a client changes of a scene beside its contents; none: it stays.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct SceneChange<'a> {
+    pub(crate) name: Option<&'a str>,
+    pub(crate) target: Option<&'a JobBudget>,
 }
 
 /// An idempotency key with what was answered.
@@ -195,4 +217,7 @@ pub(crate) struct LightState {
     /// What the layers of the published map count in it: bits of RGB, since JSON knows neither infinity nor NaN.
     #[serde(default)]
     pub(crate) weights: Vec<[u32; 3]>,
+    /// What was done towards the scene's target.
+    #[serde(default)]
+    pub(crate) effort: Effort,
 }

@@ -9,12 +9,13 @@ use tokio::sync::watch;
 
 use super::drag::Drag;
 use super::earlier::Earlier;
-use super::lighting::{Lighting, Lit, Sequence, Unlit, Work};
-use super::records::{KeyRecord, LightRecord};
+use super::lighting::{Lighting, Lit, Samples, Sequence, Unlit, Work};
+use super::records::{KeyRecord, LightRecord, LightState};
 use super::versions::Published;
 use crate::config::Limits;
 use crate::engine::{Edit, LightMap, World};
 use crate::events::EventLog;
+use crate::jobs::budget::JobBudget;
 use crate::jobs::queue::{JobNumber, SceneNumber};
 use crate::mode::Mode;
 
@@ -22,8 +23,9 @@ use crate::mode::Mode;
 pub(crate) struct SceneEntry {
     pub(crate) number: SceneNumber,
     pub(crate) id: String,
-    pub(crate) name: String,
+    name: Mutex<String>,
     pub(crate) mode: Mode,
+    target: Mutex<Option<JobBudget>>,
     pub(crate) created_at: Timestamp,
     pub(crate) events: Arc<EventLog>,
     /// Edits are accepted one at a time, each against the world that those before it lead to.
@@ -39,6 +41,8 @@ pub(crate) struct SceneEntry {
     pub(crate) reserved: AtomicU64,
     /// A save is under way: another would only repeat it.
     pub(crate) saving: AtomicBool,
+    /// `Head::sequence`, for those who do not wait for the head.
+    accepted_edits: AtomicU64,
     /// Bytes of the world after all accepted edits.
     accepted_bytes: AtomicU64,
     /// Bytes of the layers that the light of all accepted edits will have, at most.
@@ -78,11 +82,13 @@ impl SceneEntry {
         limits: &Limits,
     ) -> SceneEntry {
         let accepted_bytes = AtomicU64::new(head.world.memory_bytes() as u64);
+        let accepted_edits = AtomicU64::new(head.sequence);
         SceneEntry {
             number: new.number,
             id: new.id,
-            name: new.name,
+            name: Mutex::new(new.name),
             mode: new.mode,
+            target: Mutex::new(new.target),
             created_at: new.created_at,
             events: Arc::new(EventLog::new(limits.events, new.first_event)),
             head: Arc::new(tokio::sync::Mutex::new(head)),
@@ -93,12 +99,55 @@ impl SceneEntry {
             deleted: watch::Sender::new(false),
             reserved: AtomicU64::new(new.reserved),
             saving: AtomicBool::new(false),
+            accepted_edits,
             accepted_bytes,
             expected_layers: AtomicU64::new(0),
             refined: AtomicU64::new(u64::MAX),
             error: Mutex::new(new.error),
             is_damaged: new.is_damaged,
         }
+    }
+
+    /// Name for people.
+    pub(crate) fn name(&self) -> String {
+        self.name.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    pub(crate) fn set_name(&self, name: String) {
+        *self.name.lock().unwrap_or_else(PoisonError::into_inner) = name;
+    }
+
+    /// What it works towards; none: nothing but its edits.
+    pub(crate) fn target(&self) -> Option<JobBudget> {
+        *self.target.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// From here on it works towards another target.
+    pub(crate) fn set_target(&self, target: JobBudget) {
+        *self.target.lock().unwrap_or_else(PoisonError::into_inner) = Some(target);
+        self.lighting().set_done(false);
+    }
+
+    /// A target is reached, as far as its bounds let it; that of a job that began before a new one came counts no more.
+    pub(crate) fn reached(&self, target: &JobBudget) {
+        let is_present = self.target() == Some(*target);
+        self.lighting().set_done(is_present);
+    }
+
+    /// Whether its light is less than a target asks for.
+    pub(crate) fn is_behind(&self, target: &JobBudget) -> bool {
+        let lighting = self.lighting();
+        lighting.is_behind(&self.published(), target)
+    }
+
+    /// Samples per element of the last bake and of what has refined it since.
+    pub(crate) fn samples(&self) -> u32 {
+        self.lighting().effort().samples
+    }
+
+    /// There is no light to go on from.
+    pub(crate) fn needs_bake(&self) -> bool {
+        self.lighting().needs_bake()
     }
 
     /// What is wrong with it, for people.
@@ -140,13 +189,13 @@ impl SceneEntry {
     /// Light and version of one moment, to be saved.
     pub(crate) fn light_record(&self) -> LightRecord {
         // What is costly is done without the lock.
-        let (published, shown, right_for, lit) = {
+        let (published, shown, right_for, lit, effort) = {
             let lighting = self.lighting();
             let (right_for, lit) = lighting.saved();
-            (self.published(), lighting.shown(), right_for, lit)
+            (self.published(), lighting.shown(), right_for, lit, lighting.effort())
         };
         LightRecord {
-            about: published.state(shown, right_for),
+            about: LightState { effort, ..published.state(shown, right_for) },
             map: published.map.clone(),
             changed: published.changed.clone(),
             lit,
@@ -160,6 +209,15 @@ impl SceneEntry {
 
     pub(crate) fn unlit(&self) -> usize {
         self.lighting().unlit()
+    }
+
+    /// Edit requests that were accepted and changed something.
+    pub(crate) fn accepted_edits(&self) -> Sequence {
+        self.accepted_edits.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn set_accepted_edits(&self, sequence: Sequence) {
+        self.accepted_edits.store(sequence, Ordering::Relaxed);
     }
 
     pub(crate) fn accepted_bytes(&self) -> u64 {
@@ -217,8 +275,8 @@ impl SceneEntry {
         self.publish(next)
     }
 
-    pub(crate) fn set_lit(&self, sequence: Sequence, map: Arc<LightMap>) {
-        self.lighting().set_lit(sequence, map);
+    pub(crate) fn set_lit(&self, sequence: Sequence, map: Arc<LightMap>, samples: Samples) {
+        self.lighting().set_lit(sequence, map, samples);
     }
 
     /// Edits up to that of `unlit` that are not lit yet add up to it.
@@ -249,6 +307,7 @@ pub(crate) struct NewScene {
     pub(crate) id: String,
     pub(crate) name: String,
     pub(crate) mode: Mode,
+    pub(crate) target: Option<JobBudget>,
     pub(crate) created_at: Timestamp,
     /// Ids of its events rise from the one after it.
     pub(crate) first_event: u64,

@@ -12,6 +12,7 @@ use rebake_core::delta::{Frame, same_bits};
 use serde::{Deserialize, Serialize};
 
 use super::layers::PublishedLayer;
+use super::lighting::Effort;
 use super::records::LightState;
 use crate::engine::{LightMap, ObjectSummary, VALUE_BYTES, World, layout_hash, objects};
 use crate::mode::Mode;
@@ -170,6 +171,7 @@ impl Published {
             estimated_rmse: self.estimated_rmse,
             lineage: (*self.lineage).clone(),
             layout: layout_hash(&self.world),
+            effort: Effort::default(),
             weights: self.layers.iter().map(|layer| layer.weight.to_array().map(f32::to_bits)).collect(),
         }
     }

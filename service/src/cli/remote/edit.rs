@@ -46,8 +46,8 @@ pub(in super::super) struct EditArgs {
     /// Budget: stop at this stated error (RMSE of radiance / albedo)
     #[arg(long, value_name = "RMSE", value_parser = positive)]
     target_rmse: Option<f64>,
-    /// Refuse if the light map is not at this version
-    #[arg(long, value_name = "VERSION")]
+    /// Refuse unless the scene has accepted exactly so many edits (`accepted_edits`, its ETag)
+    #[arg(long, value_name = "EDITS")]
     if_match: Option<u64>,
     /// A word of your choice that makes it safe to send the same edit twice
     #[arg(long, value_name = "KEY")]

@@ -96,14 +96,15 @@ mod tests {
     use super::super::Store;
     use super::super::records::{JobRecord, SceneRecord, StoredOutside};
     use super::*;
-    use crate::jobs::observer::JobBudget;
+    use crate::jobs::JobSpec;
+    use crate::jobs::budget::JobBudget;
     use crate::jobs::queue::{Job, JobKind, JobState, Outcome, Priority};
     use crate::mode::Mode;
 
     fn job(number: u64, scene: u64) -> JobRecord {
         let budget = JobBudget { samples_per_element: 4, max_seconds: Some(0.1), target_rmse: Some(1e-3) };
         let job = Job::new(number, scene, JobKind::Bake, Priority::High, Timestamp::now());
-        JobRecord { job, budget, focus: None, tiles: None, dragged: Vec::new(), seed: u64::MAX - 1, sequence: 0 }
+        JobRecord { job, spec: JobSpec::new(budget, u64::MAX - 1, 0) }
     }
 
     #[test]
@@ -118,6 +119,7 @@ mod tests {
             environment: None,
             outside: StoredOutside::default(),
             max_albedo: None,
+            target: None,
             groups: Default::default(),
             created_at,
         };
@@ -133,6 +135,6 @@ mod tests {
         let jobs: Vec<JobRecord> = saved.jobs.into_iter().map(Result::unwrap).collect();
         let states: Vec<JobState> = jobs.iter().map(|record| record.job.state).collect();
         assert_eq!(states, [JobState::Succeeded, JobState::Canceled]);
-        assert!(jobs[1].job.finished_at.is_some() && jobs[1].seed == u64::MAX - 1);
+        assert!(jobs[1].job.finished_at.is_some() && jobs[1].spec.seed == u64::MAX - 1);
     }
 }

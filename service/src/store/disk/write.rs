@@ -7,7 +7,7 @@ use rusqlite::{OptionalExtension, Transaction};
 use super::blobs::{BlobId, Pin};
 use super::{Disk, codec, open, schema, to_json};
 use crate::jobs::queue::{JobNumber, SceneNumber};
-use crate::store::records::{Accepted, JobRecord, KeyRecord, LightRecord, SceneRecord};
+use crate::store::records::{Accepted, JobRecord, KeyRecord, LightRecord, SceneChange, SceneRecord};
 use crate::store::versions::FIRST_RESERVE;
 use crate::store::{Store, StoreError};
 
@@ -35,6 +35,17 @@ impl Store for Disk {
             t.execute(sql, (number as i64, record, blob, jobs, FIRST_RESERVE as i64))?;
             schema::raise(t, "newest_scene", number)?;
             bake.map_or(Ok(()), |job| put_job(t, job))
+        })
+    }
+
+    fn scene_changed(&self, number: SceneNumber, change: &SceneChange<'_>) -> Result<(), StoreError> {
+        let target = change.target.map(to_json).transpose()?;
+        self.transact(|t| {
+            let sql = "UPDATE scenes SET record = json_set(record, '$.name', ?2) WHERE number = ?1";
+            change.name.map_or(Ok(0), |name| t.execute(sql, (number as i64, name)))?;
+            let sql = "UPDATE scenes SET record = json_set(record, '$.target', json(?2)) WHERE number = ?1";
+            target.as_ref().map_or(Ok(0), |target| t.execute(sql, (number as i64, target)))?;
+            Ok(())
         })
     }
 

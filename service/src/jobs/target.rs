@@ -1,0 +1,62 @@
+//! What a scene works towards: a target of its own, which jobs pursue whenever no edit waits.
+
+use std::sync::Arc;
+
+use super::budget::JobBudget;
+use super::queue::{JobKind, JobState, Priority};
+use super::stop::Asked;
+use super::{JobSpec, new_record};
+use crate::api::next_seed;
+use crate::state::App;
+use crate::store::records::Accepted;
+use crate::store::scenes::SceneEntry;
+
+/// Seeds of jobs that no request asked for lie here, those of requests far below.
+const FIRST_SEED: u64 = 1 << 49;
+
+impl App {
+    /// Gives a scene another target. Jobs that work towards the old one go on towards the new one, and where none does, one
+    /// begins if there is anything to do.
+    pub(crate) fn set_target(self: &Arc<App>, scene: &Arc<SceneEntry>, target: JobBudget) {
+        scene.set_target(target);
+        {
+            let mut state = self.jobs.lock();
+            for number in state.queue.open_of(scene.number) {
+                let Some(job) = state.queue.get(number).filter(|job| job.kind.is_for_target()).cloned() else {
+                    continue;
+                };
+                let Some(handle) = state.handles.get_mut(&number) else { continue };
+                handle.spec.budget = target;
+                if job.state == JobState::Running {
+                    handle.stop.ask(Asked::NewerEdit);
+                }
+                if let Some(Err(error)) = state.record(job).map(|record| self.store.job_changed(&record)) {
+                    self.note_unsaved(scene, &error);
+                }
+            }
+        }
+        self.work_towards_target(scene);
+    }
+
+    /// Queues a job that brings a scene's light closer to its target, where it is not there yet and none is open that will.
+    /// Takes the scene's head: not from an async thread.
+    pub(crate) fn work_towards_target(self: &Arc<App>, scene: &Arc<SceneEntry>) {
+        let head = scene.head.blocking_lock();
+        let Some(target) = scene.target().filter(|target| !scene.is_deleted() && scene.is_behind(target)) else {
+            return;
+        };
+        if self.jobs.with_queue(|queue| queue.has_target_work(scene.number)) {
+            return;
+        }
+        // A full queue has enough to do: the next edit asks again.
+        let Ok(ticket) = self.ticket(scene.number) else { return };
+        let seed = next_seed(self.config.seed, &mut (FIRST_SEED | scene.published().version));
+        let spec = JobSpec::new(target, seed, head.sequence);
+        let record = new_record(ticket.number, scene, (JobKind::Refine, Priority::Low), spec);
+        let accepted = Accepted { scene: scene.number, edit: None, job: &record, key: None, jobs: head.jobs };
+        match self.store.accepted(&accepted) {
+            Ok(()) => drop(ticket.submit(scene, &record, || ())),
+            Err(error) => self.note_unsaved(scene, &error),
+        }
+    }
+}
