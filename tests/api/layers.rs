@@ -235,7 +235,6 @@ async fn a_layer_comes_in_every_format_and_all_of_them_in_one_picture() {
         "layer=direct&part=full",
         "layer=all",
         "layer=all&format=glb",
-        "part=direct",
         "layer=lamp&part=all",
     ] {
         let detail = server.get(&format!("{path}?format=raw&{query}")).await.problem(400, "invalid-query");
