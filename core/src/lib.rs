@@ -48,7 +48,7 @@ pub use edit::{Edit, EditError, EditErrorKind, Relight};
 pub use focus::Focus;
 pub use importance::{Importance, TileMode, Tiles};
 pub use job::{Budget, Canceled, Observer, Pass, Progress, Snapshot, Unobserved};
-pub use lightmap::LightMap;
+pub use lightmap::{LightMap, LightPart};
 pub use memory::keep_freed_memory;
 pub use refine::refine;
 pub use space::NO_OBJECT;

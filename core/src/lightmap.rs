@@ -10,6 +10,17 @@ pub const MAX_LAYERS: usize = 16;
 /// So many groups of lights have layers of their own: the lights in none need one, too.
 pub const MAX_GROUPS: usize = MAX_LAYERS - 1;
 
+/// Some of the light of a map or a layer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LightPart {
+    /// Direct + indirect light.
+    Full,
+    /// Light that comes straight from lights.
+    Direct,
+    /// Light after at least one bounce.
+    Indirect,
+}
+
 /// Values per element slot: outgoing radiance / albedo = irradiance / π, linear RGB. Slots without an element are zero.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LightMap {

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use clap::ValueEnum;
 use glam::Vec3;
-use rebake_core::{LightMap, Stated};
+use rebake_core::{LightMap, LightPart, Stated};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -31,7 +31,15 @@ impl Mode {
         }
     }
 
-    /// Radiance / albedo per slot.
+    /// The part of all light that it is.
+    pub fn part(self) -> LightPart {
+        match self {
+            Mode::Full => LightPart::Full,
+            Mode::Indirect => LightPart::Indirect,
+        }
+    }
+
+    /// Radiance / albedo per slot, as computed: noise has both signs.
     pub fn values(self, map: &LightMap) -> Cow<'_, [Vec3]> {
         match self {
             Mode::Full => (0..map.len()).map(|slot| map.total(slot)).collect(),

@@ -19,7 +19,7 @@ use crate::state::{App, Phase};
 use crate::store::StoreError;
 use crate::store::assets::Content;
 use crate::store::disk::{Disk, Saved, SavedScene};
-use crate::store::lighting::{Lighting, Sequence, Unlit};
+use crate::store::lighting::{Lighting, Sequence, Unlit, unknown_of_saved};
 use crate::store::records::{JobRecord, LightRecord, SceneRecord, StoredOutside};
 use crate::store::scenes::{Head, IdempotencyKeys, NewScene, SceneEntry};
 use crate::store::versions::{Published, RESERVE};
@@ -104,8 +104,8 @@ fn rebuild(app: &App, disk: &Disk, saved: &SavedScene) -> Result<(SceneEntry, bo
 
     let (published, lighting, error) = match light {
         Ok(Some((shown, light))) => {
-            let LightRecord { about, map, changed, .. } = light.clone();
-            let published = Published::restored(shown, record.mode, about, map, changed, saved.reserved);
+            let unknown = unknown_of_saved(&light, &replayed.unlit);
+            let published = Published::restored(shown, record.mode, light.clone(), unknown, saved.reserved);
             (published, Lighting::restored(&light, replayed.unlit), None)
         }
         // Nothing was saved yet; versions may have been given all the same.

@@ -24,6 +24,7 @@ mod lightmap;
 mod load;
 mod moves;
 mod openapi;
+mod parts;
 mod process;
 mod render;
 mod scenes;

@@ -5,7 +5,7 @@ use glam::Vec3;
 use super::camera::Rays;
 use super::{RenderOptions, View};
 use crate::bvh::{Hit, Ray};
-use crate::lightmap::LightMap;
+use crate::lightmap::{LightMap, LightPart};
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
 use crate::scene::{LightKind, Passage};
@@ -36,13 +36,8 @@ pub(super) struct Shading<'a> {
 
 impl<'a> Shading<'a> {
     pub(super) fn new(world: &'a World, map: &LightMap, view: View) -> Shading<'a> {
-        let looks_up = view != View::Direct;
-        let mut totals: Vec<Vec3> = (0..map.len()).filter(|_| looks_up).map(|i| map.total(i)).collect();
-        let mut indirect = if looks_up { map.indirect.clone() } else { Vec::new() };
-        if looks_up {
-            world.without_negative(&mut totals);
-            world.without_negative(&mut indirect);
-        }
+        let part = |part| if view == View::Direct { Vec::new() } else { world.delivered(map, part) };
+        let (totals, indirect) = (part(LightPart::Full), part(LightPart::Indirect));
         Shading { world, view, emission: emission_of_parts(world), totals, indirect }
     }
 

@@ -7,11 +7,56 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::{Placed, World};
+use crate::lightmap::{LightMap, LightPart};
+use crate::space::NO_OBJECT;
+
+/// Slots per task.
+const CHUNK: usize = 4096;
 
 /// Times that what is missing is sought one ring of elements further.
 const RINGS: u32 = 8;
 
 impl World {
+    /// Some of the light of a map as clients get it, per slot (irradiance / π, linear RGB): nowhere negative, and direct +
+    /// indirect = full, bit for bit. A map with layers is their weighted sum, and keeps its noise as they do.
+    ///
+    /// # Panics
+    /// Where the map has not one value per slot.
+    pub fn delivered(&self, map: &LightMap, part: LightPart) -> Vec<Vec3> {
+        let positive = |values: &[Vec3]| {
+            let mut values = values.to_vec();
+            if map.layers.is_empty() {
+                self.without_negative(&mut values);
+            }
+            values
+        };
+        match part {
+            LightPart::Direct => positive(&map.direct),
+            LightPart::Indirect => positive(&map.indirect),
+            LightPart::Full => {
+                let mut sum = positive(&map.direct);
+                sum.iter_mut().zip(positive(&map.indirect)).for_each(|(sum, indirect)| *sum += indirect);
+                sum
+            }
+        }
+    }
+
+    /// The standard error, per slot, of what is delivered of a map or a layer with this variance: three equal numbers,
+    /// irradiance / π; zero in holes. `is_known` tells of a slot whether its variance is that of the light it holds: where it
+    /// is not, the error is infinite, since nothing bounds it.
+    ///
+    /// # Panics
+    /// Where there is not one variance per slot.
+    pub fn standard_errors(&self, variance: &[f32], is_known: impl Fn(usize) -> bool + Sync) -> Vec<Vec3> {
+        assert_eq!(variance.len(), self.slots(), "one variance per slot");
+        let error = |(slot, variance): (usize, &f32)| match () {
+            () if self.space.slots().owners[slot] == NO_OBJECT => Vec3::ZERO,
+            () if !is_known(slot) || variance.is_nan() => Vec3::INFINITY,
+            () => Vec3::splat(variance.max(0.0).sqrt()),
+        };
+        variance.par_iter().enumerate().with_min_len(CHUNK).map(error).collect()
+    }
+
     /// Raises negative values (per slot, irradiance / π) to zero and takes what that adds from neighbours along the
     /// surface, so that the mean of each side of an object, weighted by area, stays as it is per channel. Where it is
     /// negative, that channel of the side becomes black. Nothing else changes, not even by a bit: the same values come
@@ -80,6 +125,7 @@ fn borrow(placed: &Placed, areas: &[f32], values: &mut [Vec3], channel: usize, e
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::edit::Edit;
     use crate::random::Pcg32;
     use crate::scene::{Material, Mesh, Object, Scene};
     use crate::world::WorldOptions;
@@ -136,5 +182,34 @@ mod tests {
         values[3] = Vec3::splat(0.02);
         world.without_negative(&mut values);
         assert!(values.iter().all(|value| *value == Vec3::ZERO));
+    }
+
+    /// What is not known is not exact, and holes hold nothing.
+    #[test]
+    fn errors_are_roots_of_variances_and_infinite_where_unknown() {
+        let gone = Edit::Remove { objects: vec!["a".into()] };
+        let world = world().apply(&[gone]).expect("an edit").after;
+        let first = world.placed[0].placement.elements.start as usize;
+        let mut variance = vec![0.25; world.slots()];
+        variance[first + 1] = -1e-9;
+        let errors = world.standard_errors(&variance, |slot| slot != first + 2);
+        assert!(first > 0 && errors[..first].iter().all(|error| *error == Vec3::ZERO));
+        let expected = [0.5, 0.0, f32::INFINITY, 0.5].map(Vec3::splat);
+        assert_eq!(errors[first..first + 4], expected);
+    }
+
+    #[test]
+    fn direct_and_indirect_light_add_up_to_what_is_delivered() {
+        let (world, mut rng) = (world(), Pcg32::new(5, 3));
+        let mut map = LightMap::black(world.slots());
+        map.direct.iter_mut().for_each(|value| *value = Vec3::splat(rng.next_f32() - 0.3));
+        map.indirect.iter_mut().for_each(|value| *value = Vec3::splat(rng.next_f32() - 0.2));
+        let part = |part| world.delivered(&map, part);
+        let [full, direct, indirect] = [LightPart::Full, LightPart::Direct, LightPart::Indirect].map(part);
+        assert!(full.iter().all(|value| value.min_element() >= 0.0));
+        assert!((0..world.slots()).all(|slot| full[slot] == direct[slot] + indirect[slot]));
+        // Layers are delivered as they are, and so is their sum.
+        map.layers.push(Arc::default());
+        assert_eq!(world.delivered(&map, LightPart::Direct), map.direct);
     }
 }

@@ -65,6 +65,20 @@ impl Transition {
         }
     }
 
+    /// Slots of the new world whose elements get no light of their own by [`Transition::carry_over`]: those of objects that
+    /// came or moved, and those that came out of solids. In no order, some more than once.
+    pub fn slots_without_light(&self) -> Vec<u32> {
+        let known: BTreeMap<u32, &Arc<Placed>> = self.before.placed.iter().map(|p| (p.key, p)).collect();
+        let stays = |p: &&Arc<Placed>| {
+            let old = known.get(&p.key);
+            old.is_some_and(|old| {
+                Arc::ptr_eq(&old.surface, &p.surface) && old.placement.elements == p.placement.elements
+            })
+        };
+        let came = self.after.placed.iter().filter(|p| !stays(p)).flat_map(|p| p.placement.elements.clone());
+        self.new_rows.iter().copied().chain(came).collect()
+    }
+
     /// Whether every slot holds the same element in both worlds.
     pub(crate) fn keeps_slots(&self) -> bool {
         self.before.space.has_slots_of(&self.after.space)

@@ -10,7 +10,7 @@ use axum::http::{HeaderMap, HeaderName, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use futures_util::stream;
-use rebake_core::delta;
+use rebake_core::delta::{self, Frame};
 use serde::{Deserialize, Serialize};
 use tokio::sync::{OwnedSemaphorePermit, watch};
 use utoipa::{IntoParams, ToSchema};
@@ -20,10 +20,11 @@ use super::elements::VERSION;
 use super::extract::{ApiPath, ApiQuery, Coding};
 use super::layers;
 use super::problem::{ApiResult, Kind, Problem};
+use super::types::PartName;
 use super::{Shared, etag, find_scene};
 use crate::state::{App, Phase};
 use crate::store::scenes::SceneEntry;
-use crate::store::versions::Published;
+use crate::store::versions::{Published, Wanted};
 
 /// How values travel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -50,6 +51,9 @@ pub(super) struct DeltaQuery {
     /// stream ends where the map loses the layer.
     #[param(example = "ceiling")]
     layer: Option<String>,
+    /// Which part, of all light or of a layer; the scene's mode where absent. Any other comes whole with every version.
+    #[param(inline)]
+    part: Option<PartName>,
     /// How values travel; `full` where absent.
     #[param(inline)]
     precision: Option<Precision>,
@@ -74,6 +78,7 @@ pub(super) async fn get(
     let published = scene.published();
     let version = published.version;
     let layer = query.layer.as_deref().map(|text| layers::find(&published, text)).transpose()?;
+    let whole = query.part.map(Wanted::from).filter(|part| *part != Wanted::Light(published.mode()));
     drop(published);
     if query.since > version {
         let text = format!("since: the light map is at version {version}, not {}", query.since);
@@ -82,7 +87,7 @@ pub(super) async fn get(
     let busy = |_| Problem::new(Kind::TooManyStreams, "too many streams are open").retry_after(5);
     let permit = app.streams.clone().try_acquire_owned().map_err(busy)?;
     let coding = Coding::accepted(&headers);
-    let sender = Sender::new(&app, &scene, &query, layer, coding, permit).map_err(Problem::internal)?;
+    let sender = Sender::new(&app, &scene, &query, (layer, whole), coding, permit).map_err(Problem::internal)?;
     let frames = stream::unfold(sender, |mut sender| async move { Some((sender.next().await?, sender)) });
     let mut response = Body::from_stream(frames).into_response();
     let head = response.headers_mut();
@@ -111,6 +116,8 @@ struct Sender {
     version: Option<u64>,
     /// Of which layer; none for the map itself.
     layer: Option<Arc<str>>,
+    /// A part of which no history is kept.
+    whole: Option<Wanted>,
     follow: bool,
     half: bool,
     waiting: VecDeque<Bytes>,
@@ -122,7 +129,7 @@ impl Sender {
         app: &Arc<App>,
         scene: &SceneEntry,
         query: &DeltaQuery,
-        layer: Option<String>,
+        (layer, whole): (Option<String>, Option<Wanted>),
         coding: Coding,
         permit: OwnedSemaphorePermit,
     ) -> io::Result<Sender> {
@@ -134,6 +141,7 @@ impl Sender {
             coder: Some(Coder::new(coding)?),
             version: (query.since > 0).then_some(query.since),
             layer: layer.map(Arc::from),
+            whole,
             follow: query.follow.unwrap_or(false),
             half: query.precision == Some(Precision::Half),
             waiting: VecDeque::new(),
@@ -179,12 +187,14 @@ impl Sender {
     async fn encode(&mut self, mut coder: Coder, published: Arc<Published>) -> io::Result<()> {
         const VALUE_BYTES: usize = 12;
         let since = self.version.unwrap_or(0);
-        let (version, half, layer) = (published.version, self.half, self.layer.clone());
+        let (version, half, layer, whole) = (published.version, self.half, self.layer.clone(), self.whole);
         let max_values = (self.app.config.limits.frame_bytes / VALUE_BYTES).max(1);
         let encode = move || {
-            let frame = match &layer {
-                None => Some(published.delta(since)),
-                Some(name) => published.layer_delta(name, since),
+            let frame = match (&layer, whole) {
+                (None, None) => Some(published.delta(since)),
+                (Some(name), None) => published.layer_delta(name, since),
+                (None, Some(part)) => Some(Frame::whole(&published.deliver(part), version)),
+                (Some(name), Some(part)) => published.deliver_layer(name, part).map(|v| Frame::whole(&v, version)),
             };
             let mut frame = frame.ok_or_else(|| io::Error::other("the layer is gone"))?;
             drop(published);

@@ -1,8 +1,11 @@
 //! The whole light map as a file.
 
+use std::borrow::Cow;
+
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use glam::Vec3;
 use rebake_core::delta::{self, Frame};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
@@ -10,12 +13,12 @@ use utoipa::{IntoParams, ToSchema};
 use super::coding::encode_body;
 use super::elements::VERSION;
 use super::extract::{ApiPath, ApiQuery, Coding, ETags};
-use super::layers::{self, Chosen, choose};
+use super::layers;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::PartName;
 use super::{Shared, etag, find_scene};
 use crate::engine;
-use crate::store::versions::{Part, Published};
+use crate::store::versions::{Published, Wanted};
 
 /// File formats of a light map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -62,7 +65,7 @@ pub(super) struct LightmapQuery {
     /// its direct and indirect light apart, in a picture with channels `<layer>.direct.R` and so on.
     #[param(example = "ceiling")]
     layer: Option<String>,
-    /// Which part of a layer; the scene's mode where absent.
+    /// Which part, of all light or of a layer; the scene's mode where absent.
     #[param(inline)]
     part: Option<PartName>,
 }
@@ -97,39 +100,44 @@ pub(super) async fn get(
         (header::VARY, "accept, accept-encoding".to_owned()),
     ];
     let format = query.format.unwrap_or_else(|| Format::accepted(&headers));
-    let wanted = wanted(&published, &query, format, scene.mode.into())?;
+    let chosen = choose(&published, &query, format)?;
     if known.is_some_and(|tags| tags.matches_weakly(&version)) {
         return Ok((StatusCode::NOT_MODIFIED, about).into_response());
     }
     let coding = Coding::accepted(&headers);
     let encode = move || {
-        let file = file(&published, format, &wanted)?;
+        let file = file(&published, format, &chosen)?;
         encode_body(coding, file).map_err(|error| error.to_string())
     };
     let body = app.compute.answer(encode).await?.map_err(Problem::internal)?;
     Ok((about, [(header::CONTENT_TYPE, format.content_type())], coding.headers(), body).into_response())
 }
 
-/// What to fetch, and which part of it.
-type Wanted = (Chosen, Part);
+/// The whole map's part, a layer's, or all layers.
+enum Chosen {
+    Map(Wanted),
+    Layer(String, Wanted),
+    All,
+}
 
-fn wanted(published: &Published, query: &LightmapQuery, format: Format, mode: Part) -> ApiResult<Wanted> {
+fn choose(published: &Published, query: &LightmapQuery, format: Format) -> ApiResult<Chosen> {
     let invalid = |field: &str, reason: &str| Err(Problem::field(Kind::InvalidQuery, field, reason));
-    let chosen = query.layer.as_deref().map_or(Ok(Chosen::Part(mode)), |text| choose(published, text))?;
-    let part = query.part.map_or(mode, Part::from);
-    match &chosen {
-        Chosen::Part(_) | Chosen::All if query.part.is_some() => {
-            invalid("part", "has to come with the name of a layer")
-        }
-        Chosen::All if format != Format::Exr => invalid("layer", "`all` has to come with `format=exr`"),
-        Chosen::All if published.layers.is_empty() => {
+    let part = query.part.map(Wanted::from);
+    let mode = Wanted::Light(published.mode());
+    match query.layer.as_deref().map(|text| layers::choose(published, text)).transpose()? {
+        None => Ok(Chosen::Map(part.unwrap_or(mode))),
+        Some(layers::Chosen::Layer(name)) => Ok(Chosen::Layer(name, part.unwrap_or(mode))),
+        Some(_) if part.is_some() => invalid("part", "says the same as this `layer`, or otherwise: give one of them"),
+        Some(layers::Chosen::Part(part)) => Ok(Chosen::Map(Wanted::Light(part))),
+        Some(layers::Chosen::All) if format != Format::Exr => invalid("layer", "`all` has to come with `format=exr`"),
+        Some(layers::Chosen::All) if published.layers.is_empty() => {
             invalid("layer", "the light map has no layers before a light is relit or lights are grouped")
         }
-        _ => Ok((chosen, part)),
+        Some(layers::Chosen::All) => Ok(Chosen::All),
     }
 }
 
-fn file(published: &Published, format: Format, (chosen, part): &Wanted) -> Result<Vec<u8>, String> {
+fn file(published: &Published, format: Format, chosen: &Chosen) -> Result<Vec<u8>, String> {
     let version = published.version.to_string();
     let mut about = vec![("lightMapVersion", version.as_str())];
     let (values, weight);
@@ -138,24 +146,32 @@ fn file(published: &Published, format: Format, (chosen, part): &Wanted) -> Resul
             let layers = layers::to_json(published);
             return engine::layers_exr(&published.map.layers, &[about[0], ("lightMapLayers", &layers)]);
         }
-        Chosen::Part(part) => {
-            values = published.part(*part);
-            about.push(("lightMapLayer", part.as_str()));
+        Chosen::Map(wanted) => {
+            values = published.deliver(*wanted);
+            about.push(("lightMapLayer", wanted.as_str()));
         }
-        Chosen::Layer(name) => {
+        Chosen::Layer(name, wanted) => {
+            values = published.deliver_layer(name, *wanted).ok_or("the layer is gone")?;
             let layer = published.layer(name).ok_or("the layer is gone")?;
-            values = layer.values(*part);
             weight = layer.weight.to_array().map(|w| w.to_string()).join(" ");
             about.extend([
                 ("lightMapLayer", name.as_str()),
-                ("lightMapPart", part.as_str()),
+                ("lightMapPart", wanted.as_str()),
                 ("lightMapWeight", &weight),
             ]);
         }
     }
     match format {
         Format::Exr => engine::lightmap_exr(&values, &about),
-        Format::Glb => engine::lightmap_glb(&published.world, &values),
+        Format::Glb => engine::lightmap_glb(&published.world, &finite(&values)),
         Format::Raw => Ok(Frame::whole(&values, published.version).encode()),
+    }
+}
+
+/// glTF holds finite numbers only.
+fn finite(values: &[Vec3]) -> Cow<'_, [Vec3]> {
+    match values.iter().all(|value| value.is_finite()) {
+        true => values.into(),
+        false => values.iter().map(|value| value.min(Vec3::MAX)).collect(),
     }
 }

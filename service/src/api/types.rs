@@ -11,9 +11,9 @@ use super::edit_types::Budget;
 pub use super::job_types::{Job, JobKind, JobPriority, JobProgress, JobState};
 use crate::engine;
 use crate::mode::Mode;
-use crate::store::versions::Part;
+use crate::store::versions::{Part, Wanted};
 
-/// One part of the light of a layer.
+/// What to fetch of a light map or a layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PartName {
@@ -23,14 +23,18 @@ pub enum PartName {
     Direct,
     /// Light after at least one bounce.
     Indirect,
+    /// The standard error of each element (irradiance / π), of the light that is the scene's mode: three equal numbers,
+    /// infinite where nothing is known of it (in glTF the largest finite number).
+    Error,
 }
 
-impl From<PartName> for Part {
-    fn from(part: PartName) -> Part {
+impl From<PartName> for Wanted {
+    fn from(part: PartName) -> Wanted {
         match part {
-            PartName::Full => Part::Full,
-            PartName::Direct => Part::Direct,
-            PartName::Indirect => Part::Indirect,
+            PartName::Full => Wanted::Light(Part::Full),
+            PartName::Direct => Wanted::Light(Part::Direct),
+            PartName::Indirect => Wanted::Light(Part::Indirect),
+            PartName::Error => Wanted::Error,
         }
     }
 }

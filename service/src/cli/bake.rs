@@ -123,8 +123,7 @@ fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
     };
     let done = Instant::now();
 
-    let mut values = args.mode.values(&map).into_owned();
-    world.without_negative(&mut values);
+    let values = world.delivered(&map, args.mode.part());
     let file = if is_glb(&args.output) { lightmap_glb(&world, &values) } else { lightmap_exr(&values) };
     out.write(&file.with_context(|| format!("cannot write {}", args.output.display()))?)?;
     let bytes = out.finish()?;

@@ -202,9 +202,16 @@ impl Client {
     }
 
     /// The light map as a file: `exr`, `glb` or `raw`.
-    pub async fn lightmap(&self, scene: &str, format: &str, layer: Option<&str>) -> Result<Response, ClientError> {
+    pub async fn lightmap(
+        &self,
+        scene: &str,
+        format: &str,
+        layer: Option<&str>,
+        part: Option<&str>,
+    ) -> Result<Response, ClientError> {
         let mut query = vec![("format", format.to_owned())];
         query.extend(layer.map(|layer| ("layer", layer.to_owned())));
+        query.extend(part.map(|part| ("part", part.to_owned())));
         self.send(self.request(Method::GET, &["v1", "scenes", scene, "lightmap"], &query)?).await
     }
 

@@ -19,7 +19,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::records::LightRecord;
-use super::versions::Published;
+use super::versions::{Published, Unknown};
 use crate::engine::{Edit, LightMap, Transition, World, carry_over};
 use crate::jobs::budget::JobBudget;
 
@@ -75,6 +75,28 @@ pub(crate) struct Lit<'a> {
     pub(crate) estimated_rmse: Option<f32>,
     /// It is an estimate for its sequence number, and not only carried over.
     pub(crate) is_right: bool,
+}
+
+/// Elements whose light is none of theirs, after one more transition that old light is carried over.
+fn unknown_after(transition: &Transition, before: Unknown) -> Unknown {
+    let came = transition.slots_without_light();
+    if before.is_none() && came.is_empty() {
+        return None;
+    }
+    let mut unknown = before.map_or_else(Vec::new, |before| before.to_vec());
+    unknown.resize(transition.after.slots(), false);
+    came.into_iter().for_each(|slot| unknown[slot as usize] = true);
+    Some(unknown.into())
+}
+
+/// The same of what was saved. `unlit`: the edits behind the light that was saved to start from.
+pub(crate) fn unknown_of_saved(light: &LightRecord, unlit: &[Unlit]) -> Unknown {
+    let about = &light.about;
+    let Some(right_for) = about.right_for.or(light.lit.as_ref().map(|(sequence, _)| *sequence)) else {
+        return Some(vec![true; light.map.len()].into());
+    };
+    let carried = unlit.iter().filter(|unlit| (right_for + 1..=about.shown).contains(&unlit.sequence));
+    carried.fold(None, |unknown, unlit| unknown_after(&unlit.transition, unknown))
 }
 
 /// What a job has to do.
@@ -148,9 +170,10 @@ impl Lighting {
             return None;
         }
         let mut map = published.map.clone();
-        let mut world = None;
+        let (mut world, mut unknown) = (None, published.unknown().clone());
         for (_, unlit) in self.unlit.range((Excluded(self.shown_sequence), Included(sequence))) {
             map = carry_over(&unlit.transition, &map);
+            unknown = unknown_after(&unlit.transition, unknown);
             world = Some(unlit.transition.after.clone());
         }
         self.shown_sequence = sequence;
@@ -159,7 +182,7 @@ impl Lighting {
         if self.lit.is_none() {
             self.drop_lit(self.shown_sequence);
         }
-        Some(published.next(Some(world), map, &published.weights(), published.estimated_rmse))
+        Some(published.next(Some(world), map, &published.weights(), published.estimated_rmse, unknown))
     }
 
     /// What is to be done so that the light is right for the published world.
@@ -185,15 +208,16 @@ impl Lighting {
     /// The next version, which shows a map that is right for `sequence` on the published world.
     pub(crate) fn snapshot(&mut self, published: &Published, sequence: Sequence, lit: Lit<'_>) -> Published {
         let mut map = lit.map.clone();
-        let mut scene = None;
+        let (mut scene, mut unknown) = (None, None);
         for (_, unlit) in self.unlit.range((Excluded(sequence), Included(self.shown_sequence))) {
             map = carry_over(&unlit.transition, &map);
+            unknown = unknown_after(&unlit.transition, unknown);
             scene.get_or_insert(&unlit.transition.before.scene);
         }
         // Of the lights that the map is right for: those of later edits are not in it.
         let weights = map.layer_weights(scene.unwrap_or(&published.world.scene));
         self.right_for = lit.is_right.then_some(sequence);
-        published.next(None, map, &weights, lit.estimated_rmse)
+        published.next(None, map, &weights, lit.estimated_rmse, unknown)
     }
 
     /// The map, where it is right for all that was accepted and clients see all of that.
@@ -209,7 +233,7 @@ impl Lighting {
         self.lit = Some(lit.map.clone());
         self.right_for = Some(self.shown_sequence);
         let weights = lit.map.layer_weights(&published.world.scene);
-        Some(published.next(None, lit.map.clone(), &weights, lit.estimated_rmse))
+        Some(published.next(None, lit.map.clone(), &weights, lit.estimated_rmse, None))
     }
 
     /// `map` is right for `sequence`.

@@ -8,12 +8,13 @@ use std::borrow::Cow;
 use std::sync::{Arc, OnceLock};
 
 use glam::Vec3;
+pub(crate) use rebake_core::LightPart as Part;
 use rebake_core::delta::{Frame, same_bits};
 use serde::{Deserialize, Serialize};
 
 use super::layers::PublishedLayer;
 use super::lighting::Effort;
-use super::records::LightState;
+use super::records::{LightRecord, LightState};
 use crate::engine::{LightMap, ObjectSummary, VALUE_BYTES, World, layout_hash, objects};
 use crate::mode::Mode;
 
@@ -51,32 +52,28 @@ impl Lineage {
     }
 }
 
-/// One part of a light map, or of one of its layers.
+/// What clients get of a light map, or of one of its layers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Part {
-    Full,
-    Direct,
-    Indirect,
+pub(crate) enum Wanted {
+    /// Some of its light.
+    Light(Part),
+    /// The standard error of each element, of the light that is the scene's mode.
+    Error,
 }
 
-impl Part {
+impl Wanted {
     pub(crate) fn as_str(self) -> &'static str {
         match self {
-            Part::Full => "full",
-            Part::Direct => "direct",
-            Part::Indirect => "indirect",
+            Wanted::Light(Part::Full) => "full",
+            Wanted::Light(Part::Direct) => "direct",
+            Wanted::Light(Part::Indirect) => "indirect",
+            Wanted::Error => "error",
         }
     }
 }
 
-impl From<Mode> for Part {
-    fn from(mode: Mode) -> Part {
-        match mode {
-            Mode::Full => Part::Full,
-            Mode::Indirect => Part::Indirect,
-        }
-    }
-}
+/// Per slot: whether nothing is known of the light that it has. None where there is no such slot.
+pub(crate) type Unknown = Option<Arc<[bool]>>;
 
 /// A light map with the world it belongs to. Everything that a client sees of one version comes from one of these.
 pub(crate) struct Published {
@@ -90,6 +87,8 @@ pub(crate) struct Published {
     objects: Arc<OnceLock<Vec<ObjectSummary>>>,
     /// Stated error: area-weighted RMSE, where it is known. Light that was carried over keeps the old one.
     pub(crate) estimated_rmse: Option<f32>,
+    /// Elements that came, or moved, after the light was computed.
+    unknown: Unknown,
     mode: Mode,
     /// What is delivered in the scene's mode.
     delivered: Vec<Vec3>,
@@ -111,6 +110,7 @@ impl Published {
             map: Arc::new(LightMap::black(slots)),
             objects: Arc::default(),
             estimated_rmse: None,
+            unknown: None,
             mode,
             delivered: vec![Vec3::ZERO; slots],
             layers: Vec::new(),
@@ -120,14 +120,8 @@ impl Published {
     }
 
     /// What was saved, in a new life. `reserved`: no version above it was ever given.
-    pub(crate) fn restored(
-        world: World,
-        mode: Mode,
-        state: LightState,
-        map: Arc<LightMap>,
-        changed: Arc<[u64]>,
-        reserved: u64,
-    ) -> Published {
+    pub(crate) fn restored(world: World, mode: Mode, light: LightRecord, unknown: Unknown, reserved: u64) -> Published {
+        let LightRecord { about: state, map, changed, .. } = light;
         let LightState { mut version, elements_version, estimated_rmse, mut lineage, weights, .. } = state;
         if reserved > version {
             // Clients may have versions that are lost. Where their version is not a part of what led to the new one,
@@ -139,10 +133,11 @@ impl Published {
         Published {
             version,
             elements_version,
-            delivered: delivered(&world, &map, mode.into()),
+            delivered: world.delivered(&map, mode.part()),
             world,
             objects: Arc::default(),
             estimated_rmse,
+            unknown,
             mode,
             layers: PublishedLayer::first(&map, &weights, version),
             changed,
@@ -176,13 +171,15 @@ impl Published {
         }
     }
 
-    /// The version after this one. `world` is given where it changed, `weights` are those of the map's layers.
+    /// The version after this one. `world` is given where it changed, `weights` are those of the map's layers, `unknown`
+    /// tells elements whose light is none of theirs.
     pub(crate) fn next(
         &self,
         world: Option<World>,
         map: Arc<LightMap>,
         weights: &[Vec3],
         estimated_rmse: Option<f32>,
+        unknown: Unknown,
     ) -> Published {
         let version = self.version + 1;
         let elements_version = if world.is_some() { version } else { self.elements_version };
@@ -194,14 +191,15 @@ impl Published {
         assert!(map.len() >= self.map.len(), "slots are never taken away");
         assert_eq!(map.layers.len(), weights.len(), "every layer has a weight");
         let mut next = Published {
-            layers: PublishedLayer::next(&self.layers, &map, weights, self.mode.into(), version),
+            layers: PublishedLayer::next(&self.layers, &map, weights, self.mode.part(), version),
             version,
             elements_version,
-            delivered: delivered(&world, &map, self.mode.into()),
+            delivered: world.delivered(&map, self.mode.part()),
             world,
             map,
             objects,
             estimated_rmse,
+            unknown,
             mode: self.mode,
             changed: Arc::default(),
             lineage: self.lineage.clone(),
@@ -230,9 +228,38 @@ impl Published {
         self.layers.iter().map(|layer| layer.weight).collect()
     }
 
-    /// One value per slot of a part of the light.
-    pub(crate) fn part(&self, part: Part) -> Cow<'_, [Vec3]> {
-        if part == self.mode.into() { self.values().into() } else { delivered(&self.world, &self.map, part).into() }
+    /// The part of all light that the scene is about.
+    pub(crate) fn mode(&self) -> Part {
+        self.mode.part()
+    }
+
+    /// Elements whose light is none of theirs.
+    pub(crate) fn unknown(&self) -> &Unknown {
+        &self.unknown
+    }
+
+    /// One value per slot of what a client wants of the map.
+    pub(crate) fn deliver(&self, wanted: Wanted) -> Cow<'_, [Vec3]> {
+        match wanted {
+            Wanted::Light(part) if part == self.mode.part() => self.values().into(),
+            Wanted::Light(part) => self.world.delivered(&self.map, part).into(),
+            Wanted::Error => self.errors(&self.map.variance).into(),
+        }
+    }
+
+    /// The same, of a layer at reference strengths; none where the map has no such layer.
+    pub(crate) fn deliver_layer(&self, name: &str, wanted: Wanted) -> Option<Cow<'_, [Vec3]>> {
+        let layer = self.layer(name)?;
+        Some(match wanted {
+            Wanted::Light(part) => layer.values(part),
+            Wanted::Error => self.errors(&layer.layer.variance).into(),
+        })
+    }
+
+    /// Infinite where nothing is known: an estimate, or an element that came after the light was computed.
+    fn errors(&self, variance: &[f32]) -> Vec<Vec3> {
+        let is_known = |slot: usize| self.unknown.as_ref().is_none_or(|unknown| !unknown[slot]);
+        self.world.standard_errors(variance, |slot| self.estimated_rmse.is_some() && is_known(slot))
     }
 
     /// The layer of that name.
@@ -242,7 +269,7 @@ impl Published {
 
     /// What a client lacks that has a layer's values at version `since`; none where the map has no such layer.
     pub(crate) fn layer_delta(&self, name: &str, since: u64) -> Option<Frame> {
-        Some(self.layer(name)?.delta(self.mode.into(), since, self.version))
+        Some(self.layer(name)?.delta(self.mode.part(), since, self.version))
     }
 
     /// What a client at version `since` lacks; everything where that is 0 or nothing is known of that version.
@@ -262,27 +289,6 @@ impl Published {
     /// Bytes of the layers.
     pub(crate) fn layer_bytes(&self) -> usize {
         self.layers.iter().map(PublishedLayer::memory_bytes).sum()
-    }
-}
-
-/// A part of the light as it is delivered: nowhere negative, and direct + indirect = full. A map with layers is their
-/// sum, and keeps its noise as they do.
-fn delivered(world: &World, map: &LightMap, part: Part) -> Vec<Vec3> {
-    let positive = |values: &[Vec3]| {
-        let mut values = values.to_vec();
-        if map.layers.is_empty() {
-            world.without_negative(&mut values);
-        }
-        values
-    };
-    match part {
-        Part::Direct => positive(&map.direct),
-        Part::Indirect => positive(&map.indirect),
-        Part::Full => {
-            let mut sum = positive(&map.direct);
-            sum.iter_mut().zip(positive(&map.indirect)).for_each(|(sum, indirect)| *sum += indirect);
-            sum
-        }
     }
 }
 

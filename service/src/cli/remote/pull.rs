@@ -30,6 +30,9 @@ pub(in super::super) struct PullArgs {
     /// One part of the light (`direct`, `indirect`), one layer by its name, or `all` layers in one .exr
     #[arg(long)]
     layer: Option<String>,
+    /// Which part of all light or of the layer: full, direct, indirect, or error, the standard error of each element
+    #[arg(long)]
+    part: Option<String>,
 }
 
 /// The API's format for a file's ending.
@@ -55,7 +58,7 @@ pub(in super::super) async fn pull(args: PullArgs) -> anyhow::Result<()> {
     let client = args.server.client()?;
     let format = format_of(&args.output).context("the file has to end in .glb, .exr or .rbkd")?;
     let work = async {
-        let mut response = client.lightmap(&args.scene, format, args.layer.as_deref()).await?;
+        let mut response = client.lightmap(&args.scene, format, args.layer.as_deref(), args.part.as_deref()).await?;
         let etag = response.headers().get("etag").and_then(|tag| tag.to_str().ok()).unwrap_or("?");
         let version = etag.trim_start_matches("W/").trim_matches('"').to_owned();
         let spinner = ui::spinner("pull");
