@@ -230,13 +230,7 @@ async fn a_layer_comes_in_every_format_and_all_of_them_in_one_picture() {
         .flat_map(|name| ["R", "G", "B"].map(|channel| format!("{name}.{channel}")))
         .collect();
     assert_eq!(names, expected);
-    for query in [
-        "layer=sun",
-        "layer=direct&part=full",
-        "layer=all",
-        "layer=all&format=glb",
-        "layer=lamp&part=all",
-    ] {
+    for query in ["layer=sun", "layer=direct&part=full", "layer=all", "layer=all&format=glb", "layer=lamp&part=all"] {
         let detail = server.get(&format!("{path}?format=raw&{query}")).await.problem(400, "invalid-query");
         let known = query != "layer=sun" || detail.starts_with("layer: ") && detail.contains("\"lamp\", \"lamp-2\"");
         assert!(known, "{detail}");

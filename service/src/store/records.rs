@@ -124,6 +124,7 @@ pub(crate) struct EditRecord<'a> {
     /// Place among the scene's accepted requests, from 1.
     pub(crate) sequence: Sequence,
     pub(crate) body: &'a [u8],
+    pub(crate) accepted_at: Timestamp,
 }
 
 /// An idempotency key with what was answered.

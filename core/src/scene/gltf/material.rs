@@ -15,6 +15,8 @@ use crate::scene::{AlphaMode, AlphaUse, Look, Material, TextureUse};
 /// A material, what of it varies, and how its emission splits into the two numbers of a light.
 #[derive(Clone, Debug)]
 pub(super) struct LoadedMaterial {
+    /// Its name; empty where it has none.
+    pub(super) name: Arc<str>,
     /// What the engine sees.
     pub(super) material: Material,
     /// What varies from place to place; absent where `material` says all.
@@ -69,6 +71,7 @@ impl<'f> Materials<'f> {
             warnings.add("primitives without a material are white", "");
             let (albedo, look) = self.capped(Vec3::ONE, None, "those without a material", warnings);
             return Ok(LoadedMaterial {
+                name: "".into(),
                 material: Material::diffuse(albedo),
                 look,
                 emission_color: Vec3::ZERO,
@@ -132,6 +135,7 @@ impl<'f> Materials<'f> {
         let emission = color * intensity;
         let material = Material { albedo, emission, double_sided: json.double_sided };
         Ok(LoadedMaterial {
+            name: json.name.as_deref().unwrap_or_default().into(),
             material,
             look,
             emission_color: color,
