@@ -2,6 +2,7 @@
 //! [`Edit::effects`] and [`Edit::cost`] tell what each writes and what its light costs.
 
 mod effects;
+mod restore;
 
 use std::sync::Arc;
 
@@ -12,6 +13,8 @@ use crate::scene::ENVIRONMENT;
 use crate::scene::{LightKind, Scene};
 
 pub use effects::{Cost, Effect, Property, Thing};
+pub use restore::Restore;
+pub(crate) use restore::{Lights, Restored};
 
 /// One change to a scene. A request may hold several; they are applied as a unit or not at all.
 #[derive(Clone, Debug)]
@@ -44,6 +47,27 @@ pub enum Edit {
         /// Diffuse albedo of all its materials, linear RGB, each in 0..=1.
         albedo: Vec3,
     },
+    /// Repaints what has a material of some name.
+    NamedMaterial {
+        /// Name of the object; every object that has the material where absent.
+        object: Option<String>,
+        /// Name of the material in the file; not empty.
+        material: String,
+        /// Its diffuse albedo, linear RGB, each in 0..=1.
+        albedo: Vec3,
+    },
+    /// Takes objects out of the light, with the lights on them. They keep their names, places and materials.
+    Hide {
+        /// Names of objects; a name with `*` matches any part of a name. Those that are hidden stay so.
+        objects: Vec<String>,
+    },
+    /// Brings hidden objects back, with the lights on them.
+    Show {
+        /// Names of objects; a name with `*` matches any part of a name. Those that are not hidden stay so.
+        objects: Vec<String>,
+    },
+    /// Makes the scene what it was at another time: what undo and redo do.
+    Restore(Arc<Restore>),
     /// Changes colour or intensity of lights.
     Relight {
         /// What changes, light by light.

@@ -26,6 +26,7 @@ mod module_graph;
 mod order;
 pub mod paper;
 pub mod path;
+pub mod points;
 pub mod random;
 mod refine;
 pub mod render;
@@ -44,7 +45,7 @@ mod world;
 
 pub use bake::bake;
 pub use drag::DragBasis;
-pub use edit::{Edit, EditError, EditErrorKind, Relight};
+pub use edit::{Edit, EditError, EditErrorKind, Relight, Restore};
 pub use focus::Focus;
 pub use importance::{Importance, TileMode, Tiles};
 pub use job::{Budget, Canceled, Observer, Pass, Progress, Snapshot, Unobserved};

@@ -98,6 +98,8 @@ pub struct Limits {
     pub finished_jobs: usize,
     /// Idempotency keys remembered per scene.
     pub idempotency_keys: usize,
+    /// Edit requests of a scene that can be taken back.
+    pub undo_steps: usize,
     /// Events remembered per job and per scene, for `Last-Event-ID`.
     pub events: usize,
     /// Canceled edits of a scene whose light may be outstanding; past that the next job bakes afresh.
@@ -108,6 +110,10 @@ pub struct Limits {
     pub page: usize,
     /// Characters of a name.
     pub name_chars: usize,
+    /// Points of one request for light at points.
+    pub sample_points: usize,
+    /// Samples of one such request.
+    pub samples: u64,
     /// Samples per element that a budget may ask for.
     pub samples_per_element: u32,
     /// Seconds that a budget may ask for.
@@ -195,11 +201,14 @@ impl Default for Limits {
             queued: 512,
             finished_jobs: 1000,
             idempotency_keys: 1024,
+            undo_steps: 256,
             events: 256,
             unlit_edits: 64,
             frame_bytes: 4 << 20,
             page: 200,
             name_chars: 256,
+            sample_points: 4096,
+            samples: 1 << 23,
             samples_per_element: 65_536,
             max_seconds: 86_400.0,
         }

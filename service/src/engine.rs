@@ -9,7 +9,7 @@ use std::sync::Arc;
 use glam::{DMat4, DVec3, Vec3};
 use rebake_core::export::{EXR_WIDTH, write_exr};
 pub(crate) use rebake_core::layers::{Layer, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER};
-use rebake_core::scene::{self, DEFAULT_MAX_ALBEDO, LoadLimits};
+use rebake_core::scene::{self, DEFAULT_MAX_ALBEDO, LoadLimits, NodeSource};
 pub use rebake_core::scene::{LoadError, Scene};
 pub(crate) use rebake_core::scene::{Outside, SkyPicture};
 pub use rebake_core::surface::SurfaceError;
@@ -230,11 +230,14 @@ pub(crate) struct ObjectSummary {
     pub(crate) bounds: (DVec3, DVec3),
     pub(crate) albedo: Vec3,
     pub(crate) world_from_object: DMat4,
+    pub(crate) is_hidden: bool,
+    pub(crate) node: Option<NodeSource>,
 }
 
 /// All objects of a world.
 pub(crate) fn objects(world: &World) -> impl Iterator<Item = ObjectSummary> + '_ {
-    world.objects().map(|object| ObjectSummary {
+    let source = |object: &rebake_core::ObjectInfo<'_>| &world.scene.objects[object.index as usize];
+    world.objects().map(move |object| ObjectSummary {
         index: object.index,
         name: object.name.to_owned(),
         first_element: object.first_element,
@@ -243,7 +246,9 @@ pub(crate) fn objects(world: &World) -> impl Iterator<Item = ObjectSummary> + '_
         triangles: object.triangle_count,
         bounds: object.bounds,
         albedo: object.albedo,
-        world_from_object: world.scene.objects[object.index as usize].world_from_object,
+        world_from_object: source(&object).world_from_object,
+        is_hidden: source(&object).is_hidden,
+        node: source(&object).node.clone(),
     })
 }
 

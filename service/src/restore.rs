@@ -18,7 +18,8 @@ use crate::mode::Mode;
 use crate::state::{App, Phase};
 use crate::store::StoreError;
 use crate::store::assets::Content;
-use crate::store::disk::{Disk, Saved, SavedScene};
+use crate::store::disk::{Disk, Saved, SavedEdit, SavedScene};
+use crate::store::history::{self, History, Turn};
 use crate::store::lighting::{Lighting, Sequence, Unlit, unknown_of_saved};
 use crate::store::records::{JobRecord, LightRecord, SceneRecord, StoredOutside};
 use crate::store::scenes::{Head, IdempotencyKeys, NewScene, SceneEntry};
@@ -94,13 +95,14 @@ fn rebuild(app: &App, disk: &Disk, saved: &SavedScene) -> Result<(SceneEntry, bo
     let uploaded = build(app, &disk.upload(saved)?, &record)?;
     // Whatever is wrong with the light can be baked again.
     let light = disk.light(saved);
-    let replayed = replay(app, uploaded, &saved.edits, light.as_ref().ok().and_then(Option::as_ref))?;
-    let Replayed { world, sequence, .. } = &replayed;
-    let (world, sequence) = (world.clone(), *sequence);
+    let mut replayed = replay(app, uploaded, &saved.edits, light.as_ref().ok().and_then(Option::as_ref))?;
+    let (world, sequence) = (replayed.world.clone(), replayed.sequence);
+    let mut history = std::mem::replace(&mut replayed.history, History::new(0));
+    history.limit(app.config.limits.undo_steps);
     let light = light.and_then(|light| light.map(|light| fits(&replayed, light)).transpose());
     let mut keys = IdempotencyKeys::new(app.config.limits.idempotency_keys);
     saved.keys.iter().cloned().for_each(|key| keys.insert(key));
-    let head = Head { world: world.clone(), sequence, jobs: saved.jobs, keys };
+    let head = Head { world: world.clone(), sequence, jobs: saved.jobs, keys, history };
 
     let (published, lighting, error) = match light {
         Ok(Some((shown, light))) => {
@@ -132,8 +134,8 @@ fn note_assets(app: &App, saved: &SavedScene) {
     if let Some(Err(asset)) = sky.map(|sky| app.assets.need(saved.number, &[&sky.asset])) {
         missing(asset);
     }
-    for (_, body) in &saved.edits {
-        if let Ok(parsed) = edit_parse::parse(body, usize::MAX)
+    for edit in &saved.edits {
+        if let Ok(parsed) = edit_parse::parse(&edit.body, usize::MAX)
             && let Err(asset) = app.assets.need(saved.number, &edit_parse::used_assets(&parsed))
         {
             missing(asset);
@@ -161,27 +163,39 @@ struct Replayed {
     lit_slots: Option<usize>,
     /// Edits that the saved light does not know.
     unlit: Vec<Unlit>,
+    history: History,
 }
 
 /// Applies all edits again. Only what `light` does not know is kept: every world has arrays of its own.
 fn replay(
     app: &App,
     uploaded: World,
-    edits: &[(Sequence, Vec<u8>)],
+    edits: &[SavedEdit],
     light: Option<&LightRecord>,
 ) -> Result<Replayed, StoreError> {
     let shown = light.map(|light| light.about.shown);
     let lit = light.and_then(|light| light.lit.as_ref()).map(|(sequence, _)| *sequence);
     let known = shown.map_or(Sequence::MAX, |shown| lit.map_or(shown, |lit| lit.min(shown)));
-    let mut replayed = Replayed { world: uploaded, sequence: 0, shown: None, lit_slots: None, unlit: Vec::new() };
+    let mut replayed = Replayed {
+        world: uploaded,
+        sequence: 0,
+        shown: None,
+        lit_slots: None,
+        unlit: Vec::new(),
+        history: History::new(usize::MAX),
+    };
     replayed.note(shown, lit);
-    for (sequence, body) in edits {
+    for saved in edits {
+        let sequence = &saved.sequence;
         let failed = |why: String| StoreError::damaged("an edit cannot be applied again", format!("{sequence}: {why}"));
         if *sequence != replayed.sequence + 1 {
             return Err(failed("an earlier one is missing".to_owned()));
         }
-        let edits = read_edits(app, body).map_err(failed)?;
+        let (edits, turn) = read_edits(app, &saved.body, &replayed.history).map_err(failed)?;
         let transition = replayed.world.apply(&edits).map_err(|error| failed(error.to_string()))?;
+        let (body, job, accepted_at) = (saved.body.clone().into(), saved.job, saved.accepted_at);
+        let accepted = history::Accepted { body, job, accepted_at, turn: None, is_undone: false };
+        replayed.history.accept(accepted, turn, (&replayed.world.scene, &transition.after.scene));
         replayed.world = transition.after.clone();
         replayed.sequence = *sequence;
         replayed.note(shown, lit);
@@ -205,9 +219,10 @@ impl Replayed {
     }
 }
 
-fn read_edits(app: &App, body: &[u8]) -> Result<Vec<Edit>, String> {
+fn read_edits(app: &App, body: &[u8], history: &History) -> Result<(Vec<Edit>, Option<Turn>), String> {
     let parsed = edit_parse::parse(body, usize::MAX).map_err(|problem| problem.to_string())?;
-    edit_parse::to_edits(&parsed, &app.assets, usize::MAX).map_err(|problem| problem.to_string())
+    let edits = edit_parse::to_edits(&parsed, &app.assets, history, usize::MAX);
+    Ok((edits.map_err(|problem| problem.to_string())?, parsed.turn()))
 }
 
 /// The light with the world it belongs to; an error where their slots differ.
@@ -242,7 +257,8 @@ fn damaged(app: &App, saved: &SavedScene, error: &StoreError) -> SceneEntry {
     });
     let mode = record.mode;
     let world = engine::empty_world(record.spacing);
-    let head = Head { world: world.clone(), sequence: 0, jobs: 0, keys: IdempotencyKeys::new(1) };
+    let (keys, history) = (IdempotencyKeys::new(1), History::new(0));
+    let head = Head { world: world.clone(), sequence: 0, jobs: 0, keys, history };
     let mut new = describe(app, saved, record, u64::MAX, Some(error.reason.to_owned()));
     new.is_damaged = true;
     SceneEntry::with(new, head, Lighting::new(), Published::lost(world, mode, saved.reserved), &app.config.limits)

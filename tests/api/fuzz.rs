@@ -44,7 +44,7 @@ impl Dice {
 fn edits() -> Vec<Vec<u8>> {
     let at = translation(1.0, 0.0, 0.0);
     let lamp = json!({ "kind": "point", "position": [1, 2, 1], "color": [1, 1, 1], "intensity": 4, "range": 3 });
-    let edits: [Value; 9] = [
+    let edits: [Value; 12] = [
         json!({ "op": "insert", "asset": "00", "name": "a", "transform": at }),
         json!({ "op": "remove", "objects": ["no*", "room"] }),
         json!({ "op": "move", "object": "cupboard", "transform": at, "focus": { "camera": "view" },
@@ -56,6 +56,9 @@ fn edits() -> Vec<Vec<u8>> {
             "focus": { "point": [0, 0, 0], "radius": 1 } }),
         json!({ "edits": [{ "op": "remove_light", "light": "lamp" }, { "op": "remove", "objects": ["cupboard"] }] }),
         json!({ "op": "sky", "radiance": [1, 1, 2], "strength": 0.5 }),
+        json!({ "edits": [{ "op": "hide", "objects": ["cup*"] }, { "op": "show", "objects": ["cupboard", "*"] }] }),
+        json!({ "op": "material", "object": "cupboard", "material": "wood", "albedo": [0.1, 0.2, 0.3] }),
+        json!({ "op": "undo" }),
     ];
     edits.iter().map(|edit| edit.to_string().into_bytes()).collect()
 }

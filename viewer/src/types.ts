@@ -13,6 +13,12 @@ export interface SceneObject {
   albedo: Rgb;
   /** Object space to world space, column-major. */
   transform: number[];
+  /** It takes no part in light and has no elements. */
+  hidden: boolean;
+  /** Index of its node in the uploaded file. */
+  node: number | null;
+  /** `extras.id` of the node. */
+  id: string | null;
 }
 
 export interface Light {
@@ -97,7 +103,9 @@ export type Edit =
   | { op: 'insert'; asset: string; name: string; transform: number[] }
   | { op: 'remove'; objects: string[] }
   | { op: 'move'; object: string; transform: number[] }
-  | { op: 'material'; object: string; albedo: Rgb }
+  | { op: 'material'; object?: string; material?: string; albedo: Rgb }
+  | { op: 'hide' | 'show'; objects: string[] }
+  | { op: 'undo' | 'redo' }
   | { op: 'relight'; lights: { light: string; color?: Rgb; intensity?: number }[] }
   | { op: 'insert_light'; name: string; light: object }
   | { op: 'sky'; asset?: string; radiance?: Rgb; rotation?: number; strength?: number }

@@ -15,15 +15,21 @@ pub enum Thing<'a> {
     Object(&'a str),
     /// A light.
     Light(&'a str),
+    /// A material of the file, on all objects that have it.
+    Material(&'a str),
 }
 
 /// What an edit gives a new value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Property {
+pub enum Property<'a> {
     /// Where an object or a light stands, and how it is turned.
     Place,
-    /// The albedo of all materials of an object.
+    /// The albedo of all materials of an object, or of a material.
     Albedo,
+    /// The albedo of one material of an object, by its name.
+    AlbedoOf(&'a str),
+    /// Whether an object is hidden.
+    Visibility,
     /// Colour and intensity of a light.
     Strength,
     /// The group of a light.
@@ -41,7 +47,7 @@ pub enum Effect<'a> {
     /// Lights come or go that the edit does not name: those that belong to objects.
     LightsComeOrGo,
     /// A thing that stays has another value of a property.
-    Sets(Thing<'a>, Property),
+    Sets(Thing<'a>, Property<'a>),
 }
 
 impl Effect<'_> {
@@ -52,7 +58,21 @@ impl Effect<'_> {
             (Effect::Goes(Thing::Object(pattern)), Thing::Object(name)) => name_matches(pattern, name),
             (Effect::Goes(other), _) => *other == thing,
             (Effect::LightsComeOrGo, Thing::Light(_)) => true,
-            (Effect::LightsComeOrGo, Thing::Object(_)) | (Effect::Sets(..), _) => false,
+            (Effect::LightsComeOrGo, Thing::Object(_) | Thing::Material(_)) | (Effect::Sets(..), _) => false,
+        }
+    }
+}
+
+impl Effect<'_> {
+    /// Whether it asks for something, of which a thing may be all there is: a pattern has to match, a material to be on an
+    /// object.
+    pub fn may_need(&self, thing: Thing<'_>) -> bool {
+        match (self, thing) {
+            (Effect::Sets(Thing::Object(pattern), Property::Visibility), Thing::Object(name)) => {
+                pattern.contains('*') && name_matches(pattern, name)
+            }
+            (Effect::Sets(Thing::Material(_), _), Thing::Object(_)) => true,
+            _ => false,
         }
     }
 }
@@ -93,6 +113,17 @@ impl Edit {
             }
             Edit::Move { object, .. } => vec![Effect::Sets(Thing::Object(object), Property::Place)],
             Edit::Material { object, .. } => vec![Effect::Sets(Thing::Object(object), Property::Albedo)],
+            Edit::NamedMaterial { object: None, material, .. } => {
+                vec![Effect::Sets(Thing::Material(material), Property::Albedo)]
+            }
+            Edit::NamedMaterial { object: Some(object), material, .. } => {
+                vec![Effect::Sets(Thing::Object(object), Property::AlbedoOf(material))]
+            }
+            Edit::Hide { objects } | Edit::Show { objects } => {
+                let sets = objects.iter().map(|name| Effect::Sets(Thing::Object(name), Property::Visibility));
+                sets.chain([Effect::LightsComeOrGo]).collect()
+            }
+            Edit::Restore(restore) => restore.effects(),
             Edit::Relight { lights } => {
                 lights.iter().map(|one| Effect::Sets(Thing::Light(&one.light), Property::Strength)).collect()
             }
@@ -118,7 +149,13 @@ impl Edit {
             Edit::InsertLight { .. } | Edit::Sky { .. } | Edit::RemoveLight { .. } | Edit::MoveLight { .. } => {
                 Cost::Lights
             }
-            Edit::Remove { .. } | Edit::Move { .. } | Edit::Material { .. } => Cost::Surfaces,
+            Edit::Remove { .. }
+            | Edit::Move { .. }
+            | Edit::Material { .. }
+            | Edit::NamedMaterial { .. }
+            | Edit::Hide { .. }
+            | Edit::Show { .. } => Cost::Surfaces,
+            Edit::Restore(restore) => restore.cost(),
             Edit::Insert { asset, transform, .. } => Cost::Elements { asset, transform },
         }
     }
@@ -127,11 +164,16 @@ impl Edit {
     pub fn split(self) -> Vec<Edit> {
         match self {
             Edit::Relight { lights } => lights.into_iter().map(|one| Edit::Relight { lights: vec![one] }).collect(),
-            // Patterns are all looked up before anything goes, and groups are counted once.
-            edit @ (Edit::Remove { .. } | Edit::GroupLights { .. }) => vec![edit],
+            // Patterns are all looked up before anything goes, groups are counted once, and a state is one.
+            edit @ (Edit::Remove { .. }
+            | Edit::Hide { .. }
+            | Edit::Show { .. }
+            | Edit::GroupLights { .. }
+            | Edit::Restore(_)) => vec![edit],
             edit @ (Edit::Insert { .. }
             | Edit::Move { .. }
             | Edit::Material { .. }
+            | Edit::NamedMaterial { .. }
             | Edit::InsertLight { .. }
             | Edit::Sky { .. }
             | Edit::RemoveLight { .. }
@@ -164,6 +206,10 @@ impl Edit {
                 | Edit::Remove { .. }
                 | Edit::Move { .. }
                 | Edit::Material { .. }
+                | Edit::NamedMaterial { .. }
+                | Edit::Hide { .. }
+                | Edit::Show { .. }
+                | Edit::Restore(_)
                 | Edit::Relight { .. }
                 | Edit::InsertLight { .. }
                 | Edit::Sky { .. }
@@ -180,7 +226,11 @@ impl Edit {
         let is_object = |name: &str| thing == Thing::Object(name);
         let is_light = |name: &str| thing == Thing::Light(name);
         let is_left = match &mut self {
-            Edit::Remove { objects } => keep(objects, |name| !is_object(name)),
+            Edit::Remove { objects } | Edit::Hide { objects } | Edit::Show { objects } => {
+                keep(objects, |name| !is_object(name))
+            }
+            Edit::NamedMaterial { object, .. } => !object.as_deref().is_some_and(is_object),
+            Edit::Restore(restore) => return restore.without(thing).map(|left| Edit::Restore(left.into())),
             Edit::Relight { lights } => keep(lights, |one| !is_light(&one.light)),
             Edit::GroupLights { lights, .. } => keep(lights, |name| !is_light(name)),
             Edit::Insert { name: object, .. } | Edit::Move { object, .. } | Edit::Material { object, .. } => {

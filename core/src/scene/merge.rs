@@ -14,7 +14,7 @@ use super::{Light, LightKind, Mesh, Object, Scene};
 /// Positions become `f32` in the asset's world space: an asset belongs near its zero.
 pub fn merge_as_object(asset: &Scene, name: &str) -> (Object, Vec<Light>) {
     let mut mesh = Mesh::default();
-    let (mut materials, mut looks) = (Vec::new(), Vec::new());
+    let (mut materials, mut material_names, mut looks) = (Vec::new(), Vec::new(), Vec::new());
     // Of each object: where its materials begin in the merged list.
     let mut first_material = Vec::new();
     for object in &asset.objects {
@@ -23,9 +23,18 @@ pub fn merge_as_object(asset: &Scene, name: &str) -> (Object, Vec<Light>) {
         append(&mut mesh, object, first);
         extend(&mut looks, &object.looks, materials.len(), object.materials.len(), None);
         materials.extend_from_slice(&object.materials);
+        material_names.extend_from_slice(&object.material_names);
     }
-    let object =
-        Object { name: name.to_owned(), mesh: Arc::new(mesh), materials, looks, world_from_object: DMat4::IDENTITY };
+    let object = Object {
+        name: name.to_owned(),
+        mesh: Arc::new(mesh),
+        materials,
+        material_names,
+        looks,
+        world_from_object: DMat4::IDENTITY,
+        is_hidden: false,
+        node: None,
+    };
     let mut names = UniqueNames::default();
     let (mut emissive, mut punctual) = (Vec::new(), Vec::new());
     for light in &asset.lights {

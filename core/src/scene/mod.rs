@@ -41,6 +41,8 @@ pub struct Scene {
     /// Names of punctual lights whose nodes lie under an object's node in the file (or that came with an inserted
     /// object), with the name of that object.
     pub light_parents: BTreeMap<String, String>,
+    /// Lights of hidden objects, by the name of the object. Their names are taken.
+    pub hidden_lights: BTreeMap<String, Vec<HiddenLight>>,
     /// Cameras of the file, in its order.
     pub cameras: Vec<Camera>,
     /// What the file asked for and did not get, in words for a person.
@@ -69,10 +71,36 @@ pub struct Object {
     pub mesh: Arc<Mesh>,
     /// Materials, indexed by [`Mesh::triangle_materials`].
     pub materials: Vec<Material>,
+    /// Per material: its name in the file; empty where it has none.
+    pub material_names: Vec<Arc<str>>,
     /// Per material: what varies from place to place; absent where the material says all. Empty where all are absent.
     pub looks: Vec<Option<Arc<Look>>>,
     /// Object space to world space (not scene space), metres.
     pub world_from_object: DMat4,
+    /// Hidden by an edit: it has no surface for light and no elements, and comes back as it is.
+    pub is_hidden: bool,
+    /// Where it comes from; none for what was inserted or made in code.
+    pub node: Option<NodeSource>,
+}
+
+/// The node of the file that an object is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NodeSource {
+    /// Index in the file's list of nodes.
+    pub index: u32,
+    /// `extras.id` of the node: what the program that wrote the file knows it by.
+    pub id: Option<Arc<str>>,
+}
+
+/// A light that is off while its object is hidden.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HiddenLight {
+    /// As it was, or as it has moved with its object.
+    pub light: Light,
+    /// It hangs on the object ([`Scene::light_parents`]), and is no emissive surface of it.
+    pub hangs: bool,
+    /// Its layer ([`Scene::groups`]).
+    pub group: Option<String>,
 }
 
 /// Triangles in object space, as the file gave them (winding not yet flipped for mirroring transforms).

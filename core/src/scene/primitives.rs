@@ -128,8 +128,11 @@ impl Object {
             name: name.into(),
             mesh: Arc::new(mesh),
             materials: vec![material],
+            material_names: vec!["".into()],
             looks: Vec::new(),
             world_from_object: DMat4::IDENTITY,
+            is_hidden: false,
+            node: None,
         }
     }
 
@@ -165,6 +168,7 @@ impl Scene {
             objects,
             groups: BTreeMap::new(),
             light_parents: BTreeMap::new(),
+            hidden_lights: BTreeMap::new(),
             cameras: Vec::new(),
             warnings: Vec::new(),
             degenerate_triangles: 0,

@@ -15,11 +15,14 @@ impl Surface {
     /// Brings an object's triangles to scene space.
     ///
     /// `scene_from_object` is [`Object::world_from_object`] after the subtraction of [`crate::scene::Scene::origin`].
-    /// Triangles that have no area in scene space are dropped; the surface may end up empty.
+    /// Triangles that have no area in scene space are dropped; the surface may end up empty, as that of a hidden object is.
     ///
     /// # Errors
     /// [`SurfaceError`]: a transform that is not usable, or a mesh with indices out of range.
     pub fn build(object: &Object, scene_from_object: DMat4) -> Result<Self, SurfaceError> {
+        if object.is_hidden {
+            return Ok(Surface::default());
+        }
         let mut surface = weld(object, scene_from_object)?;
         surface.sort();
         (surface.closed, surface.volume) = closed_volume(&surface);

@@ -12,9 +12,8 @@ use super::motion::{is_rigid, move_light, transformed_light};
 use super::openings::Openings;
 use super::{Placed, Transition, Trees, Validity, World, WorldError, probe};
 use crate::bvh::{BuildQuality, Bvh};
-use crate::edit::{Edit, EditError, EditErrorKind, name_matches};
-use crate::scene::{Light, LightKind, Look, Object, Scene, merge_as_object};
-use crate::space::Albedo;
+use crate::edit::{Edit, EditError, EditErrorKind, Lights, name_matches};
+use crate::scene::{Light, LightKind, Object, Scene, merge_as_object};
 
 impl World {
     /// Applies edits as a unit. On an error nothing has changed and the error names the field at fault.
@@ -61,18 +60,7 @@ impl Draft {
                 self.add_object(object)
             }
             Edit::Remove { objects } => {
-                if objects.is_empty() {
-                    return Err(invalid("objects", "is empty"));
-                }
-                let mut indices = BTreeSet::new();
-                for (k, name) in objects.iter().enumerate() {
-                    let found = self.find_objects(name);
-                    if found.is_empty() {
-                        return Err(unknown(&format!("objects[{k}]"), "object", name));
-                    }
-                    indices.extend(found);
-                }
-                indices.into_iter().rev().for_each(|i| self.remove_object(i));
+                self.find_all(objects)?.into_iter().rev().for_each(|i| self.remove_object(i));
                 Ok(())
             }
             Edit::Move { object, transform } => {
@@ -81,6 +69,12 @@ impl Draft {
                 self.move_object(index, transform)
             }
             Edit::Material { object, albedo } => self.repaint(object, *albedo),
+            Edit::NamedMaterial { object, material, albedo } => {
+                self.repaint_named(object.as_deref(), material, *albedo)
+            }
+            Edit::Hide { objects } => self.set_hidden(objects, true),
+            Edit::Show { objects } => self.set_hidden(objects, false),
+            Edit::Restore(restore) => self.restore(restore),
             Edit::Relight { lights } => lights.iter().enumerate().try_for_each(|(k, r)| {
                 self.relight(r).map_err(|e| EditError { field: format!("lights[{k}].{}", e.field), ..e })
             }),
@@ -113,6 +107,22 @@ impl Draft {
         }
     }
 
+    /// Indices of all objects whose names match.
+    pub(super) fn find_all(&self, patterns: &[String]) -> Result<BTreeSet<usize>, EditError> {
+        if patterns.is_empty() {
+            return Err(invalid("objects", "is empty"));
+        }
+        let mut indices = BTreeSet::new();
+        for (k, name) in patterns.iter().enumerate() {
+            let found = self.find_objects(name);
+            if found.is_empty() {
+                return Err(unknown(&format!("objects[{k}]"), "object", name));
+            }
+            indices.extend(found);
+        }
+        Ok(indices)
+    }
+
     fn find_objects(&self, pattern: &str) -> Vec<usize> {
         let objects = self.world.scene.objects.iter().enumerate();
         let exact: Vec<usize> = objects.clone().filter(|(_, o)| o.name == pattern).map(|(i, _)| i).collect();
@@ -122,7 +132,7 @@ impl Draft {
         objects.filter(|(_, o)| name_matches(pattern, &o.name)).map(|(i, _)| i).collect()
     }
 
-    fn object_index(&self, name: &str) -> Result<usize, EditError> {
+    pub(super) fn object_index(&self, name: &str) -> Result<usize, EditError> {
         let objects = &self.world.scene.objects;
         objects.iter().position(|o| o.name == name).ok_or_else(|| unknown("object", "object", name))
     }
@@ -132,7 +142,7 @@ impl Draft {
         lights.iter().position(|l| l.name == name).ok_or_else(|| unknown(field, "light", name))
     }
 
-    fn check_free_name(&self, name: &str) -> Result<(), EditError> {
+    pub(super) fn check_free_name(&self, name: &str) -> Result<(), EditError> {
         if name.is_empty() || name.len() > 256 {
             return Err(invalid("name", "must have 1 to 256 bytes"));
         }
@@ -146,13 +156,15 @@ impl Draft {
         if name.is_empty() || name.len() > 256 {
             return Err(invalid("name", "must have 1 to 256 bytes"));
         }
-        if self.world.scene.lights.iter().any(|l| l.name == name) {
+        let Scene { lights, hidden_lights, .. } = &self.world.scene;
+        let hidden = hidden_lights.values().flatten().map(|hidden| &hidden.light);
+        if lights.iter().chain(hidden).any(|l| l.name == name) {
             return Err(error("name", format!("there is a light named {name:?} already"), EditErrorKind::Conflict));
         }
         Ok(())
     }
 
-    fn add_object(&mut self, object: Object) -> Result<(), EditError> {
+    pub(super) fn add_object(&mut self, object: Object) -> Result<(), EditError> {
         let world = &self.world;
         let ready =
             build::Ready::new(&world.scene, &object, world.resolution, &world.options).map_err(|e| too_large(&e))?;
@@ -168,10 +180,11 @@ impl Draft {
         Ok(())
     }
 
-    fn remove_object(&mut self, index: usize) {
+    pub(super) fn remove_object(&mut self, index: usize) {
         let object = self.world.scene.objects.remove(index);
         let placed = self.world.placed.remove(index);
-        let Scene { lights, light_parents, .. } = &mut self.world.scene;
+        let Scene { lights, light_parents, hidden_lights, .. } = &mut self.world.scene;
+        hidden_lights.remove(&object.name);
         // Its emissive surfaces go with it, and the lamps that hang on it.
         lights.retain(|l| match &l.kind {
             LightKind::Emissive { object: o, .. } => *o != object.name,
@@ -198,12 +211,16 @@ impl Draft {
         }
     }
 
-    fn move_object(&mut self, index: usize, transform: &DMat4) -> Result<(), EditError> {
+    pub(super) fn move_object(&mut self, index: usize, transform: &DMat4) -> Result<(), EditError> {
         let old = Arc::clone(&self.world.placed[index]);
         let mut object = self.world.scene.objects[index].clone();
         let step = *transform * object.world_from_object.inverse();
         object.world_from_object = *transform;
         self.move_lamps_of(&object.name, &step);
+        if object.is_hidden {
+            self.world.scene.objects[index] = object;
+            return Ok(());
+        }
         if !is_rigid(&step) {
             // Another size asks for other elements.
             return self.replace_object(index, object);
@@ -232,58 +249,22 @@ impl Draft {
 
     /// Lamps that hang on an object go where it goes.
     fn move_lamps_of(&mut self, object: &str, step: &DMat4) {
-        let Scene { lights, light_parents, .. } = &mut self.world.scene;
+        let Scene { lights, light_parents, hidden_lights, .. } = &mut self.world.scene;
         let of_object = |light: &&mut Light| light_parents.get(&light.name).is_some_and(|parent| parent == object);
-        lights.iter_mut().filter(of_object).for_each(|light| *light = transformed_light(light.clone(), step));
+        let hidden = hidden_lights.get_mut(object).into_iter().flatten().filter(|hidden| hidden.hangs);
+        let all = lights.iter_mut().filter(of_object).chain(hidden.map(|hidden| &mut hidden.light));
+        all.for_each(|light| *light = transformed_light(light.clone(), step));
     }
 
-    fn repaint(&mut self, name: &str, albedo: Vec3) -> Result<(), EditError> {
-        let index = self.object_index(name)?;
-        if !albedo.is_finite() || albedo.cmplt(Vec3::ZERO).any() || albedo.cmpgt(Vec3::ONE).any() {
-            return Err(invalid("albedo", "must hold three numbers from 0 to 1"));
-        }
-        let object = &mut self.world.scene.objects[index];
-        object.materials.iter_mut().for_each(|m| m.albedo = albedo);
-        let parts = self.world.space.parts_of(&self.world.placed[index].placement);
-        if parts.iter().any(|part| part.albedos.is_some()) {
-            return self.paint_over(index);
-        }
-        let albedo = Albedo::new(albedo, self.world.options.max_albedo);
-        let parts = self.world.space.parts_of_mut(&self.world.placed[index].placement);
-        parts.iter_mut().for_each(|part| (part.albedo, part.told_albedo) = (albedo.reflected, albedo.told));
-        Ok(())
-    }
-
-    /// Takes the pictures off an object: to its light it is another one in the same place.
-    fn paint_over(&mut self, index: usize) -> Result<(), EditError> {
-        let mut object = self.world.scene.objects[index].clone();
-        let painted = |look: Option<Arc<Look>>| {
-            let look = look.filter(|look| look.may_let_light_through())?;
-            Some(Arc::new(Look { is_painted: true, ..(*look).clone() }))
-        };
-        object.looks = object.looks.into_iter().map(painted).collect();
-        if !object.mesh.colors.is_empty() {
-            let mesh = Arc::make_mut(&mut object.mesh);
-            // What goes through stays as it was.
-            if object.looks.iter().any(Option::is_some) {
-                mesh.colors.iter_mut().for_each(|color| *color = Vec3::ONE.extend(color.w));
-            } else {
-                mesh.colors = Vec::new();
-            }
-        }
-        self.replace_object(index, object)
-    }
-
-    /// An object leaves its slots and another comes in new ones. In the list it stays where it was, and what hangs on
-    /// it stays there, too.
-    fn replace_object(&mut self, index: usize, object: Object) -> Result<(), EditError> {
-        let Scene { lights, light_parents, .. } = &self.world.scene;
-        let (lights, light_parents) = (lights.clone(), light_parents.clone());
+    /// An object leaves its slots and another comes in new ones. In the list it stays where it was, and what hangs on it
+    /// stays there, too.
+    pub(super) fn replace_object(&mut self, index: usize, object: Object) -> Result<(), EditError> {
+        let lights = Lights::of(&self.world.scene);
         self.remove_object(index);
         self.add_object(object)?;
         self.world.scene.objects[index..].rotate_right(1);
         self.world.placed[index..].rotate_right(1);
-        (self.world.scene.lights, self.world.scene.light_parents) = (lights, light_parents);
+        self.set_lights(lights);
         Ok(())
     }
 

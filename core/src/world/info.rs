@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 
 use super::World;
-use crate::scene::{Light, LightKind};
+use crate::scene::{Light, LightKind, Object};
 use crate::space::NO_OBJECT;
 
 /// An object as clients see it.
@@ -60,7 +60,7 @@ impl World {
                 with_back: placed.with_back,
                 triangle_count: placed.layout.cell_count() as u32,
                 bounds: (low.as_dvec3() + self.scene.origin, high.as_dvec3() + self.scene.origin),
-                albedo: if area > 0.0 { albedo / area } else { Vec3::ZERO },
+                albedo: if area > 0.0 { albedo / area } else { mean_albedo(object) },
             }
         })
     }
@@ -79,6 +79,12 @@ impl World {
         }
         indices
     }
+}
+
+/// Of an object without a surface for light: the mean of its materials.
+fn mean_albedo(object: &Object) -> Vec3 {
+    let sum: Vec3 = object.materials.iter().map(|material| material.albedo).sum();
+    sum / object.materials.len().max(1) as f32
 }
 
 fn kind_name(kind: &LightKind) -> &'static str {

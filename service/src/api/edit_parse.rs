@@ -14,6 +14,7 @@ use crate::config::Config;
 use crate::engine::{self, Edit, World};
 use crate::jobs::budget::JobBudget;
 use crate::store::assets::Assets;
+use crate::store::history::{History, Turn};
 
 /// An edit request, read.
 pub(crate) struct Parsed {
@@ -89,6 +90,10 @@ fn parse_op(mut fields: Map<String, Value>, path: &str) -> ApiResult<EditOp> {
         "remove" => read_fields(fields, path).map(EditOp::Remove),
         "move" => read_fields(fields, path).map(EditOp::Move),
         "material" => read_fields(fields, path).map(EditOp::Material),
+        "hide" => read_fields(fields, path).map(EditOp::Hide),
+        "show" => read_fields(fields, path).map(EditOp::Show),
+        "undo" => read_fields(fields, path).map(EditOp::Undo),
+        "redo" => read_fields(fields, path).map(EditOp::Redo),
         "relight" => read_fields(fields, path).map(EditOp::Relight),
         "insert_light" => parse_insert_light(fields, path),
         "sky" => read_fields(fields, path).map(EditOp::Sky),
@@ -96,8 +101,8 @@ fn parse_op(mut fields: Map<String, Value>, path: &str) -> ApiResult<EditOp> {
         "move_light" => read_fields(fields, path).map(EditOp::MoveLight),
         "group_lights" => read_fields(fields, path).map(EditOp::GroupLights),
         _ => {
-            let known =
-                "insert, remove, move, material, relight, insert_light, sky, remove_light, move_light or group_lights";
+            let known = "insert, remove, move, material, hide, show, relight, insert_light, sky, remove_light, \
+                         move_light, group_lights, undo or redo";
             Err(Problem::field(Kind::InvalidValue, join(path, "op"), format!("{op:?} is none of {known}")))
         }
     }
@@ -173,11 +178,42 @@ pub(crate) fn used_assets<'a>(parsed: &'a Parsed) -> Vec<&'a str> {
     parsed.edits.iter().filter_map(asset).collect()
 }
 
+impl Parsed {
+    /// Whether it goes through the scene's states, and which way. Such an edit stands alone.
+    pub(crate) fn turn(&self) -> Option<Turn> {
+        self.edits.iter().find_map(|op| match op {
+            EditOp::Undo(_) => Some(Turn::Undo),
+            EditOp::Redo(_) => Some(Turn::Redo),
+            _ => None,
+        })
+    }
+
+    fn path(&self, i: usize) -> String {
+        if self.is_list { format!("edits[{i}]") } else { String::new() }
+    }
+}
+
 /// The engine's edits. Names of objects and lights are left to the engine, which knows the scene.
-pub(crate) fn to_edits(parsed: &Parsed, assets: &Assets, max_name: usize) -> ApiResult<Vec<Edit>> {
+pub(crate) fn to_edits(parsed: &Parsed, assets: &Assets, history: &History, max_name: usize) -> ApiResult<Vec<Edit>> {
     let each = |(i, op): (usize, &EditOp)| {
-        let path = if parsed.is_list { format!("edits[{i}]") } else { String::new() };
-        to_edit(op, &path, assets, max_name)
+        let path = parsed.path(i);
+        let turn = match op {
+            EditOp::Undo(_) => Turn::Undo,
+            EditOp::Redo(_) => Turn::Redo,
+            _ => return to_edit(op, &path, assets, max_name),
+        };
+        if parsed.edits.len() > 1 {
+            let reason = "undo and redo stand alone in their request";
+            return Err(Problem::field(Kind::InvalidValue, join(&path, "op"), reason));
+        }
+        let nothing = || {
+            let reason = match turn {
+                Turn::Undo => "there is no edit that can be taken back",
+                Turn::Redo => "there is no edit that was taken back last",
+            };
+            Problem::field(Kind::NothingToTurn, join(&path, "op"), reason)
+        };
+        history.plan(turn).map(|(_, edit)| edit).ok_or_else(nothing)
     };
     parsed.edits.iter().enumerate().map(each).collect()
 }
@@ -194,11 +230,21 @@ fn to_edit(op: &EditOp, path: &str, assets: &Assets, max_name: usize) -> ApiResu
             let asset = skies::model(&insert.asset, &join(path, "asset"), assets)?;
             Edit::Insert { asset, name: insert.name.clone(), transform: dmat4(&insert.transform) }
         }
-        EditOp::Remove(remove) => {
-            if remove.objects.is_empty() {
+        EditOp::Remove(dto::Remove { objects })
+        | EditOp::Hide(dto::Hide { objects })
+        | EditOp::Show(dto::Show { objects }) => {
+            if objects.is_empty() {
                 return Err(Problem::field(Kind::InvalidValue, join(path, "objects"), "names no object"));
             }
-            Edit::Remove { objects: remove.objects.clone() }
+            let objects = objects.clone();
+            match op {
+                EditOp::Hide(_) => Edit::Hide { objects },
+                EditOp::Show(_) => Edit::Show { objects },
+                _ => Edit::Remove { objects },
+            }
+        }
+        EditOp::Undo(_) | EditOp::Redo(_) => {
+            return Err(Problem::field(Kind::InvalidValue, join(path, "op"), "stands alone in its request"));
         }
         EditOp::Move(place) => {
             finite("transform", &place.transform)?;
@@ -209,7 +255,21 @@ fn to_edit(op: &EditOp, path: &str, assets: &Assets, max_name: usize) -> ApiResu
             if !paint.albedo.iter().all(|a| (0.0..=1.0).contains(a)) {
                 return Err(Problem::field(Kind::InvalidValue, join(path, "albedo"), "each has to be 0 to 1"));
             }
-            Edit::Material { object: paint.object.clone(), albedo: vec3(paint.albedo) }
+            let albedo = vec3(paint.albedo);
+            match (&paint.object, &paint.material) {
+                (_, Some(material)) if material.is_empty() => {
+                    let reason = "is empty: materials without a name are painted with their object";
+                    return Err(Problem::field(Kind::InvalidValue, join(path, "material"), reason));
+                }
+                (object, Some(material)) => {
+                    Edit::NamedMaterial { object: object.clone(), material: material.clone(), albedo }
+                }
+                (Some(object), None) => Edit::Material { object: object.clone(), albedo },
+                (None, None) => {
+                    let reason = "neither it nor `material` is given";
+                    return Err(Problem::field(Kind::InvalidValue, join(path, "object"), reason));
+                }
+            }
         }
         EditOp::Relight(relight) => {
             if relight.lights.is_empty() {

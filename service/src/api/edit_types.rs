@@ -65,8 +65,16 @@ pub enum EditOp {
     Remove(Remove),
     /// Gives an object a new place.
     Move(Move),
-    /// Repaints an object.
+    /// Repaints an object, or a material.
     Material(Repaint),
+    /// Takes objects out of the light, to come back later.
+    Hide(Hide),
+    /// Brings hidden objects back.
+    Show(Show),
+    /// Takes the last edit request back that was not taken back yet; stands alone in its request.
+    Undo(Undo),
+    /// Makes the last edit request that was taken back again; stands alone in its request.
+    Redo(Redo),
     /// Changes colour or intensity of lights.
     Relight(Relight),
     /// Adds a light.
@@ -116,17 +124,52 @@ pub struct Move {
     pub transform: [f64; 16],
 }
 
-/// Repaints an object.
+/// Repaints an object, a material wherever it is, or the parts of one object that have it.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Repaint {
-    /// Its name.
+    /// Name of the object; without it the edit names a material.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(example = "sofa")]
-    pub object: String,
-    /// Diffuse albedo of all its materials, linear RGB, each 0 to 1.
+    pub object: Option<String>,
+    /// Name of the material in the file; without it all materials of the object.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(example = "wood")]
+    pub material: Option<String>,
+    /// Diffuse albedo, linear RGB, each 0 to 1.
     #[schema(example = json!([0.6, 0.1, 0.1]))]
     pub albedo: [f32; 3],
 }
+
+/// Takes objects out of the light, with the lights on them. They stay in the list and keep their names, places and
+/// materials, but have no elements.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Hide {
+    /// Names; `*` matches any part of a name. Those that are hidden stay so.
+    #[schema(example = json!(["sofa"]))]
+    pub objects: Vec<String>,
+}
+
+/// Brings hidden objects back, with the lights on them.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Show {
+    /// Names; `*` matches any part of a name. Those that are not hidden stay so.
+    #[schema(example = json!(["sofa"]))]
+    pub objects: Vec<String>,
+}
+
+/// Takes the last edit request back that counts. What it changed is as before it; the light too, bit for bit where it is
+/// still kept.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Undo {}
+
+/// Makes the last request again that was taken back. Any other edit ends what can be made again.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Redo {}
 
 /// Changes colour or intensity of lights.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]

@@ -25,6 +25,7 @@ use crate::jobs::{About, JobSpec, new_record};
 use crate::memory;
 use crate::state::App;
 use crate::store::assets::Assets;
+use crate::store::history::{self, History};
 use crate::store::lighting::{Sequence, Unlit};
 use crate::store::records::{Accepted, EditRecord, KeyRecord};
 use crate::store::scenes::{Head, SceneEntry};
@@ -47,6 +48,10 @@ static IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
         ("remove" = (value = json!({"op": "remove", "objects": ["sofa"]}))),
         ("move" = (value = json!({"op": "move", "object": "sofa", "transform": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.5, 0, 2, 1], "focus": {"point": [0.5, 0, 2], "radius": 1.5}}))),
         ("material" = (value = json!({"op": "material", "object": "sofa", "albedo": [0.6, 0.1, 0.1]}))),
+        ("repaint" = (value = json!({"op": "material", "material": "wood", "albedo": [0.3, 0.2, 0.1]}))),
+        ("hide" = (value = json!({"op": "hide", "objects": ["sofa"]}))),
+        ("show" = (value = json!({"op": "show", "objects": ["sofa"]}))),
+        ("undo" = (value = json!({"op": "undo"}))),
         ("relight" = (value = json!({"op": "relight", "lights": [{"light": "lamp", "color": [1, 0.9, 0.8], "intensity": 2.5}]}))),
         ("insert_light" = (value = json!({"op": "insert_light", "name": "lamp-2", "light": {"kind": "point", "position": [0, 2, 0], "color": [1, 1, 1], "intensity": 40}}))),
         ("sky" = (value = json!({"op": "sky", "asset": "d74981efa70a0c880b8d8c1985d075dbcbf679b99a5f9914e5aaf96b831a9e24", "rotation": 90, "strength": 1.5}))),
@@ -125,7 +130,7 @@ struct Request {
 fn read_request(app: &App, head: &Head, body: &[u8]) -> ApiResult<Request> {
     let limits = &app.config.limits;
     let parsed = parse(body, limits.edits_per_request)?;
-    let edits = to_edits(&parsed, &app.assets, limits.name_chars)?;
+    let edits = to_edits(&parsed, &app.assets, &head.history, limits.name_chars)?;
     let budget = to_budget(parsed.budget, "budget", app.config.defaults.edit_samples, &app.config)?;
     let importance = read_importance(&parsed, &head.world, &app.config)?;
     let priority = parsed.priority;
@@ -176,12 +181,16 @@ fn accept(
     let job = Job::new(&app.ids, &record.job, &About { scene: scene.id.clone(), sequence });
     let answer = to_event_data(&job);
     let key = key.map(|(key, body_hash)| KeyRecord { key, body_hash, job: ticket.number, answer: answer.clone() });
-    let edit = transition.is_some().then_some(EditRecord { sequence, body });
+    let accepted_at = record.job.created_at;
+    let edit = transition.is_some().then_some(EditRecord { sequence, body, accepted_at });
     let gone = |asset| Problem::new(Kind::UnknownAsset, format!("the asset {asset:?} was deleted"));
     let needed = app.assets.need(scene.number, &used_assets(&parsed)).map_err(gone)?;
     let kept = app.store.accepted(&Accepted { scene: scene.number, edit, job: &record, key: key.as_ref(), jobs });
     kept.inspect_err(|_| app.assets.unneed(scene.number, &needed))?;
     let unlit = transition.map(|transition| {
+        let (job, accepted_at) = (Some(ticket.number), Some(accepted_at));
+        let accepted = history::Accepted { body: body.clone(), job, accepted_at, turn: None, is_undone: false };
+        head.history.accept(accepted, parsed.turn(), (&head.world.scene, &transition.after.scene));
         head.world = transition.after.clone();
         head.sequence = sequence;
         scene.set_accepted_edits(sequence);
@@ -203,6 +212,7 @@ fn edit_problem(error: EditError, is_list: bool) -> Problem {
     let names_light = field.ends_with("light") || field.contains("lights[");
     let kind = match error.kind {
         EditErrorKind::NotFound if names_light => Kind::UnknownLight,
+        EditErrorKind::NotFound if field.ends_with("material") => Kind::UnknownMaterial,
         EditErrorKind::NotFound => Kind::UnknownObject,
         EditErrorKind::Conflict => Kind::NameTaken,
         EditErrorKind::Invalid => Kind::InvalidValue,
@@ -229,7 +239,7 @@ pub fn read_edits(
     let parsed = parse(body, config.limits.edits_per_request).map_err(told)?;
     to_budget(parsed.budget, "budget", config.defaults.edit_samples, &config).map_err(told)?;
     read_importance(&parsed, world, &config).map_err(told)?;
-    to_edits(&parsed, &held, config.limits.name_chars).map_err(told)
+    to_edits(&parsed, &held, &History::new(0), config.limits.name_chars).map_err(told)
 }
 
 /// Reads a focus as an edit carries it, for a scene with these cameras.

@@ -229,7 +229,10 @@ fn expected(scene: &SceneEntry, published: &Published, after: &Scene, edits: &[E
     }
     names.extend(effects().filter_map(|effect| match effect {
         Effect::Comes(Thing::Light(light)) => Some(light),
-        Effect::Comes(Thing::Object(_)) | Effect::Goes(_) | Effect::LightsComeOrGo | Effect::Sets(..) => None,
+        Effect::Comes(Thing::Object(_) | Thing::Material(_))
+        | Effect::Goes(_)
+        | Effect::LightsComeOrGo
+        | Effect::Sets(..) => None,
     }));
     if published.layers.is_empty() && after.lights.len() > names.len() {
         names.insert(SHARED_LAYER);

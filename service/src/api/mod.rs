@@ -13,6 +13,7 @@ mod events;
 mod extract;
 mod guard;
 mod health;
+mod history;
 mod job_types;
 mod jobs;
 mod layers;
@@ -22,6 +23,7 @@ mod paging;
 mod painter;
 pub mod problem;
 mod render;
+mod sample;
 mod scenes;
 pub(crate) mod skies;
 mod trace;
@@ -58,12 +60,13 @@ pub(crate) fn router(app: Arc<App>) -> Router {
     Router::new()
         .route("/v1/scenes", post(uploads::create).get(scenes::list))
         .route("/v1/scenes/{scene}", get(scenes::get).patch(scenes::patch).delete(scenes::delete))
-        .route("/v1/scenes/{scene}/edits", post(edits::create))
+        .route("/v1/scenes/{scene}/edits", post(edits::create).get(history::list))
         .route("/v1/scenes/{scene}/events", get(events::of_scene))
         .route("/v1/scenes/{scene}/lightmap", get(lightmap::get))
         .route("/v1/scenes/{scene}/lightmap/deltas", get(deltas::get))
         .route("/v1/scenes/{scene}/elements", get(elements::get))
         .route("/v1/scenes/{scene}/render", get(render::get))
+        .route("/v1/scenes/{scene}/sample", post(sample::create))
         .route("/v1/assets", post(assets::create).get(assets::list))
         .route("/v1/assets/{asset}", delete(assets::delete))
         .route("/v1/jobs", get(jobs::list))

@@ -9,7 +9,8 @@ use utoipa::openapi::{Ref, RefOr};
 
 use super::problem::{self, Kind, ProblemDocument};
 use super::{
-    assets, deltas, edit_types, edits, elements, events, health, jobs, lightmap, render, scenes, types, uploads,
+    assets, deltas, edit_types, edits, elements, events, health, history, jobs, lightmap, render, sample, scenes,
+    types, uploads,
 };
 
 #[derive(OpenApi)]
@@ -21,8 +22,9 @@ use super::{
     ),
     paths(
         uploads::create, scenes::list, scenes::get, scenes::patch, scenes::delete, assets::create, assets::list, assets::delete, edits::create,
+        history::list,
         jobs::list, jobs::get, jobs::cancel, jobs::pause, jobs::resume, events::of_job, events::of_scene,
-        lightmap::get, deltas::get, elements::get, render::get, health::alive, health::ready, health::metrics, health::problem, get
+        lightmap::get, deltas::get, elements::get, render::get, sample::create, health::alive, health::ready, health::metrics, health::problem, get
     ),
     components(schemas(ProblemDocument, types::SnapshotEvent, types::SceneEvent, types::SceneSummary, edit_types::EditRequest)),
     tags(
@@ -61,10 +63,10 @@ pub(super) async fn get() -> axum::Json<utoipa::openapi::OpenApi> {
 fn problems_of(operation: &str) -> &'static [Kind] {
     use Kind::{
         AssetNeeded, AssetNotFound, EditTooLarge, InvalidJson, InvalidQuery, InvalidValue, JobEnded, KeyReused,
-        MalformedFile, NameTaken, NoMemory, NotFound, PayloadTooLarge, PreconditionFailed, QueueFull, Restoring,
-        SceneDamaged, SceneTooLarge, ShuttingDown, Storage, Timeout, TooManyAssets, TooManyScenes, TooManyStreams,
-        TooManyUploads, UnknownAsset, UnknownCamera, UnknownJob, UnknownLight, UnknownObject, UnknownScene,
-        UnsupportedFile, UnsupportedMediaType, VersionAhead, VersionForgotten,
+        MalformedFile, NameTaken, NoMemory, NotFound, NothingToTurn, PayloadTooLarge, PreconditionFailed, QueueFull,
+        Restoring, SceneDamaged, SceneTooLarge, ShuttingDown, Storage, Timeout, TooManyAssets, TooManyScenes,
+        TooManyStreams, TooManyUploads, UnknownAsset, UnknownCamera, UnknownJob, UnknownLight, UnknownMaterial,
+        UnknownObject, UnknownScene, UnsupportedFile, UnsupportedMediaType, VersionAhead, VersionForgotten,
     };
     match operation {
         "create_scene" => &[
@@ -103,6 +105,7 @@ fn problems_of(operation: &str) -> &'static [Kind] {
             SceneDamaged,
             Timeout,
             NameTaken,
+            NothingToTurn,
             NoMemory,
             PreconditionFailed,
             PayloadTooLarge,
@@ -111,6 +114,7 @@ fn problems_of(operation: &str) -> &'static [Kind] {
             InvalidValue,
             UnknownObject,
             UnknownLight,
+            UnknownMaterial,
             UnknownAsset,
             UnknownCamera,
             EditTooLarge,
@@ -120,6 +124,7 @@ fn problems_of(operation: &str) -> &'static [Kind] {
             Storage,
         ],
         "list_scenes" | "list_jobs" | "list_assets" => &[InvalidQuery],
+        "list_edits" => &[InvalidQuery, UnknownScene, SceneDamaged],
         "get_scene" => &[UnknownScene],
         "patch_scene" => &[
             InvalidJson,
@@ -142,6 +147,16 @@ fn problems_of(operation: &str) -> &'static [Kind] {
         "get_deltas" => &[InvalidQuery, UnknownScene, SceneDamaged, VersionAhead, TooManyStreams],
         "get_elements" => &[UnknownScene, SceneDamaged],
         "render_scene" => &[InvalidQuery, UnknownScene, SceneDamaged, VersionForgotten],
+        "sample_light" => &[
+            InvalidJson,
+            UnknownScene,
+            SceneDamaged,
+            Timeout,
+            PayloadTooLarge,
+            UnsupportedMediaType,
+            InvalidValue,
+            ShuttingDown,
+        ],
         "describe_problem" => &[NotFound],
         "ready" => &[Restoring, ShuttingDown],
         _ => &[],

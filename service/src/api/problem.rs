@@ -139,6 +139,7 @@ kinds! {
     MethodNotAllowed "method-not-allowed" METHOD_NOT_ALLOWED "Method not allowed" "The path exists, but not with this method; see the Allow header.";
     Timeout "request-timeout" REQUEST_TIMEOUT "Request timeout" "The body did not arrive in time.";
     NameTaken "name-taken" CONFLICT "Name taken" "The scene has something of that name already.";
+    NothingToTurn "nothing-to-undo" CONFLICT "Nothing to undo" "There is no edit that can be taken back, or none that was taken back last and can be made again.";
     JobEnded "job-ended" CONFLICT "Job ended" "The job has ended and cannot be canceled.";
     TooManyScenes "too-many-scenes" CONFLICT "Too many scenes" "The service holds as many scenes as it may; delete one.";
     NoMemory "no-memory" CONFLICT "Not enough memory" "The scene does not fit beside the others; delete one, or choose a larger spacing.";
@@ -155,6 +156,7 @@ kinds! {
     InvalidValue "invalid-value" UNPROCESSABLE_ENTITY "Invalid value" "A field has a value that is not allowed, or is missing or unknown.";
     UnknownObject "unknown-object" UNPROCESSABLE_ENTITY "Unknown object" "The body names an object that the scene does not have.";
     UnknownLight "unknown-light" UNPROCESSABLE_ENTITY "Unknown light" "The request names a light that the scene does not have.";
+    UnknownMaterial "unknown-material" UNPROCESSABLE_ENTITY "Unknown material" "The body names a material that the scene, or the object, does not have.";
     UnknownAsset "unknown-asset" UNPROCESSABLE_ENTITY "Unknown asset" "The body names an asset that was not uploaded.";
     UnknownCamera "unknown-camera" UNPROCESSABLE_ENTITY "Unknown camera" "The body names a camera that the scene does not have.";
     EditTooLarge "edit-too-large" UNPROCESSABLE_ENTITY "Edit too large" "The edit would make the scene larger than the service takes.";

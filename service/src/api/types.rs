@@ -200,6 +200,14 @@ pub struct Object {
     /// Object space to world space, column-major, metres: what `move` replaces.
     #[schema(example = json!([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.5, 0, 2, 1]))]
     pub transform: [f64; 16],
+    /// Hidden by an edit: it takes no part in light and has no elements until it is shown.
+    pub hidden: bool,
+    /// Index of its node in the uploaded file; none for what was inserted.
+    #[schema(example = 4)]
+    pub node: Option<u32>,
+    /// `extras.id` of the node, where the file has one.
+    #[schema(example = "a81f")]
+    pub id: Option<String>,
 }
 
 impl Object {
@@ -213,6 +221,9 @@ impl Object {
             bounds: Bounds { min: object.bounds.0.to_array(), max: object.bounds.1.to_array() },
             albedo: object.albedo.to_array(),
             transform: object.world_from_object.to_cols_array(),
+            hidden: object.is_hidden,
+            node: object.node.as_ref().map(|node| node.index),
+            id: object.node.as_ref().and_then(|node| node.id.as_deref()).map(str::to_owned),
         }
     }
 }

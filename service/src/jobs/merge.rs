@@ -59,15 +59,16 @@ fn absorb(before: &mut [Option<Edit>], edit: &Edit) -> Option<Edit> {
 
 /// Whether a new value makes the old one as if it had never been. How many groups there are decides which others may
 /// be.
-fn is_replaced(property: Property) -> bool {
+fn is_replaced(property: Property<'_>) -> bool {
     match property {
-        Property::Place | Property::Albedo | Property::Strength => true,
-        Property::Group => false,
+        Property::Place | Property::Albedo | Property::AlbedoOf(_) | Property::Strength => true,
+        // Hidden lights keep their names.
+        Property::Visibility | Property::Group => false,
     }
 }
 
 /// Where a property of a thing was set last, unless its name may have meant something else then.
-fn last_setting(before: &[Option<Edit>], thing: Thing<'_>, property: Property) -> Option<usize> {
+fn last_setting(before: &[Option<Edit>], thing: Thing<'_>, property: Property<'_>) -> Option<usize> {
     for (at, edit) in before.iter().enumerate().rev() {
         let Some(effects) = edit.as_ref().map(Edit::effects) else { continue };
         if effects == [Effect::Sets(thing, property)] {
@@ -92,6 +93,10 @@ fn vanishes(before: &mut [Option<Edit>], thing: Thing<'_>) -> bool {
         *edit = edit.take().and_then(|edit| edit.without(thing));
     }
     let Some(came) = came else { return false };
+    let may_need = |edit: &Edit| edit.effects().iter().any(|effect| effect.may_need(thing));
+    if before[came + 1..].iter().flatten().any(may_need) {
+        return false;
+    }
     // What came with it has names of its own, which other edits may use.
     let is_all = before[came].as_ref().is_some_and(|edit| edit.effects() == [Effect::Comes(thing)]);
     if is_all {
@@ -117,7 +122,8 @@ mod tests {
     /// What the edits do, as far as they can meddle with each other.
     #[derive(Clone, Debug, Default, PartialEq)]
     struct Model {
-        objects: BTreeMap<String, (DMat4, Vec3)>,
+        /// Place, wood and steel, and whether it is hidden.
+        objects: BTreeMap<String, (DMat4, [Vec3; 2], bool)>,
         lights: BTreeMap<String, (Vec3, f32, DVec3, Option<String>)>,
     }
 
@@ -126,7 +132,7 @@ mod tests {
         fn apply(mut self, edit: &Edit) -> Option<Model> {
             match edit {
                 Edit::Insert { name, transform, .. } => {
-                    if self.objects.insert(name.clone(), (*transform, Vec3::ONE)).is_some() {
+                    if self.objects.insert(name.clone(), (*transform, [Vec3::ONE; 2], false)).is_some() {
                         return None;
                     }
                 }
@@ -140,7 +146,25 @@ mod tests {
                     }
                 }
                 Edit::Move { object, transform } => self.objects.get_mut(object)?.0 = *transform,
-                Edit::Material { object, albedo } => self.objects.get_mut(object)?.1 = *albedo,
+                Edit::Material { object, albedo } => self.objects.get_mut(object)?.1 = [*albedo; 2],
+                Edit::NamedMaterial { object, material, albedo } => {
+                    let index = usize::from(material == "steel");
+                    match object {
+                        Some(object) => self.objects.get_mut(object)?.1[index] = *albedo,
+                        None if self.objects.is_empty() => return None,
+                        None => self.objects.values_mut().for_each(|object| object.1[index] = *albedo),
+                    }
+                }
+                Edit::Hide { objects } | Edit::Show { objects } => {
+                    for pattern in objects {
+                        let found = self.objects.iter_mut().filter(|(name, _)| name_matches(pattern, name));
+                        if found.map(|(_, object)| object.2 = matches!(edit, Edit::Hide { .. })).count() == 0 {
+                            return None;
+                        }
+                    }
+                }
+                // Tests of their own: states are not made up.
+                Edit::Restore(_) => return None,
                 Edit::Relight { lights } => {
                     for one in lights {
                         let light = self.lights.get_mut(&one.light)?;
@@ -179,8 +203,13 @@ mod tests {
         let number = dice.roll(1000) as f32;
         let transform = DMat4::from_translation(DVec3::splat(f64::from(number)));
         let asset = || Arc::new(Scene::from_objects(Vec::new()));
-        match dice.roll(11) {
+        let material = ["wood", "steel"][dice.roll(2) as usize].to_owned();
+        match dice.roll(15) {
             10 => Edit::Sky { kind: LightKind::Environment, color: Vec3::ONE, intensity: number },
+            11 => Edit::Hide { objects: vec![format!("{object}*")] },
+            12 => Edit::Show { objects: vec![object] },
+            13 => Edit::NamedMaterial { object: Some(object), material, albedo: Vec3::splat(number) },
+            14 => Edit::NamedMaterial { object: None, material, albedo: Vec3::splat(number) },
             9 => Edit::GroupLights { group: Some(name(dice)), lights: vec![object] },
             0 => Edit::Insert { asset: asset(), name: object, transform },
             1 => Edit::Remove { objects: vec![object] },
@@ -241,5 +270,29 @@ mod tests {
             assert_eq!(simplify(fewer.clone()).len(), fewer.len(), "it is as short as it gets");
         }
         assert!(saved * 10 > all, "{saved} of {all}");
+    }
+
+    /// Edits that are taken back while they wait leave nothing to light.
+    #[test]
+    fn an_edit_and_its_undo_are_one_that_changes_nothing() {
+        use rebake_core::scene::{Material, Mesh, Object};
+        use rebake_core::{Restore, World, WorldOptions};
+        let cube = |name: &str| Object::new(name, Mesh::cuboid(Vec3::ZERO, Vec3::ONE), Material::diffuse(Vec3::ONE));
+        let scene = Scene::from_objects(vec![cube("a")]);
+        let options = WorldOptions { spacing: Some(0.5), ..WorldOptions::default() };
+        let start = World::new(scene, &options).unwrap();
+        let transform = DMat4::from_translation(DVec3::X * 3.0);
+        let asset = Arc::new(Scene::from_objects(vec![cube("c")]));
+        for edit in [
+            Edit::Move { object: "a".into(), transform },
+            Edit::Material { object: "a".into(), albedo: Vec3::splat(0.5) },
+            Edit::Insert { asset, name: "b".into(), transform },
+        ] {
+            let done = start.apply(std::slice::from_ref(&edit)).unwrap().after;
+            let undo = Edit::Restore(Arc::new(Restore::between(&done.scene, &start.scene)));
+            let fewer = simplify([edit.clone(), undo]);
+            assert!(fewer.len() < 2, "{edit:?}");
+            assert!(fewer.is_empty() || start.apply(&fewer).unwrap().after.is_lit_like(&start), "{edit:?}");
+        }
     }
 }

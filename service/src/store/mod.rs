@@ -6,6 +6,7 @@ pub(crate) mod disk;
 mod drag;
 mod earlier;
 pub mod faults;
+pub(crate) mod history;
 pub(crate) mod layers;
 pub(crate) mod lighting;
 pub(crate) mod records;

@@ -159,6 +159,7 @@ pub(crate) struct EditRecord<'a> {
     /// Place among the scene's accepted requests, from 1.
     pub(crate) sequence: Sequence,
     pub(crate) body: &'a [u8],
+    pub(crate) accepted_at: Timestamp,
 }
 
 /// What a client changes of a scene beside its contents; none: it stays.

@@ -9,6 +9,7 @@ use tokio::sync::watch;
 
 use super::drag::Drag;
 use super::earlier::Earlier;
+use super::history::History;
 use super::lighting::{Lighting, Lit, Samples, Sequence, Unlit, Work};
 use super::records::{KeyRecord, LightRecord, LightState};
 use super::versions::Published;
@@ -63,13 +64,16 @@ pub(crate) struct Head {
     /// Jobs of this scene so far: seeds derive from it.
     pub(crate) jobs: u64,
     pub(crate) keys: IdempotencyKeys,
+    /// What was accepted, and the way back.
+    pub(crate) history: History,
 }
 
 impl SceneEntry {
     /// A scene without light.
     pub(crate) fn new(new: NewScene, world: World, limits: &Limits) -> SceneEntry {
         let published = Published::black(world.clone(), new.mode);
-        let head = Head { world, sequence: 0, jobs: 0, keys: IdempotencyKeys::new(limits.idempotency_keys) };
+        let keys = IdempotencyKeys::new(limits.idempotency_keys);
+        let head = Head { world, sequence: 0, jobs: 0, keys, history: History::new(limits.undo_steps) };
         SceneEntry::with(new, head, Lighting::new(), published, limits)
     }
 

@@ -256,6 +256,11 @@ impl Published {
         })
     }
 
+    /// Whether the light is right for what is shown, and states its error.
+    pub(crate) fn is_known(&self) -> bool {
+        self.estimated_rmse.is_some() && self.unknown.is_none()
+    }
+
     /// Infinite where nothing is known: an estimate, or an element that came after the light was computed.
     fn errors(&self, variance: &[f32]) -> Vec<Vec3> {
         let is_known = |slot: usize| self.unknown.as_ref().is_none_or(|unknown| !unknown[slot]);

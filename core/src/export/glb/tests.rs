@@ -59,7 +59,10 @@ fn random_object(random: &mut Random, name: String) -> Object {
     if total < count {
         mesh.triangle_materials = (0..total as u32).collect();
     }
-    Object { name, mesh: Arc::new(mesh), materials, looks: Vec::new(), world_from_object: random.transform() }
+    let material_names = vec!["".into(); materials.len()];
+    let world_from_object = random.transform();
+    let placed = Object::new(name, mesh, Material::diffuse(Vec3::ONE)).placed(world_from_object);
+    Object { materials, material_names, ..placed }
 }
 
 fn random_scene(seed: u64) -> Scene {

@@ -15,6 +15,8 @@ use crate::scene::{AlphaMode, AlphaUse, Look, Material, TextureUse};
 /// A material, what of it varies, and how its emission splits into the two numbers of a light.
 #[derive(Clone, Debug)]
 pub(super) struct LoadedMaterial {
+    /// Its name; empty where it has none.
+    pub(super) name: Arc<str>,
     /// What the engine sees.
     pub(super) material: Material,
     /// What varies from place to place; absent where `material` says all.
@@ -96,6 +98,7 @@ impl<'f> Materials<'f> {
             warnings.add("primitives without a material are white", "");
             let albedo = self.checked(Vec3::ONE, "those without a material", warnings);
             return Ok(LoadedMaterial {
+                name: "".into(),
                 material: Material::diffuse(albedo),
                 look: None,
                 emission_color: Vec3::ZERO,
@@ -147,7 +150,8 @@ impl<'f> Materials<'f> {
         let look = look.varies().then(|| Arc::new(look));
         let emission = color * intensity;
         let material = Material { albedo, emission, double_sided: json.double_sided };
-        Ok(LoadedMaterial { material, look, emission_color: color, emission_intensity: intensity, is_clear })
+        let name = json.name.as_deref().unwrap_or_default().into();
+        Ok(LoadedMaterial { name, material, look, emission_color: color, emission_intensity: intensity, is_clear })
     }
 
     /// Base colour and alpha.

@@ -173,6 +173,7 @@ fn load_document(bytes: &[u8], files: &Files<'_>, limits: &LoadLimits) -> Result
         lights,
         groups: std::collections::BTreeMap::new(),
         light_parents: parents,
+        hidden_lights: std::collections::BTreeMap::new(),
         cameras,
         warnings: warnings.into_texts(),
         degenerate_triangles,
@@ -228,12 +229,23 @@ fn read_objects(
             }
             let mesh = Arc::clone(&loaded.mesh);
             let materials = loaded.materials.iter().map(|m| m.material).collect();
+            let material_names = loaded.materials.iter().map(|m| Arc::clone(&m.name)).collect();
             let looks = if loaded.materials.iter().any(|m| m.look.is_some()) {
                 loaded.materials.iter().map(|m| m.look.clone()).collect()
             } else {
                 Vec::new()
             };
-            let object = Object { name, mesh, materials, looks, world_from_object };
+            let source = Some(nodes::source(&file.root, node.index));
+            let object = Object {
+                name,
+                mesh,
+                materials,
+                material_names,
+                looks,
+                world_from_object,
+                is_hidden: false,
+                node: source,
+            };
             objects.push(LoadedObject { object, loaded: Arc::clone(&loaded), node: node.index });
         }
     }

@@ -6,6 +6,7 @@ use glam::{DMat4, DQuat, DVec3};
 use super::container::File;
 use super::warnings::Warnings;
 use super::{LoadError, LoadLimits, malformed};
+use crate::scene::NodeSource;
 
 /// A node of the scene.
 #[derive(Debug)]
@@ -30,6 +31,26 @@ struct Waiting {
     depth: usize,
     object: Option<usize>,
     is_hidden: bool,
+}
+
+/// Longest `extras.id` that is kept, bytes.
+const LONGEST_ID: usize = 256;
+
+/// What an object is told to come from. An `id` is a word or a whole number; anything else in `extras` is not ours.
+pub(super) fn source(root: &json::Root, index: usize) -> NodeSource {
+    #[derive(serde::Deserialize)]
+    struct Extras {
+        id: Option<serde_json::Value>,
+    }
+    let extras = root.nodes[index].extras.as_ref();
+    let extras = extras.and_then(|extras| serde_json::from_str::<Extras>(extras.get()).ok());
+    let id = match extras.and_then(|extras| extras.id) {
+        Some(serde_json::Value::String(id)) => Some(id),
+        Some(serde_json::Value::Number(id)) => Some(id.to_string()),
+        _ => None,
+    };
+    let id = id.filter(|id| (1..=LONGEST_ID).contains(&id.len())).map(Into::into);
+    NodeSource { index: index as u32, id }
 }
 
 /// The nodes of the scene in the order of the file.

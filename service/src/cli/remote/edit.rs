@@ -152,6 +152,14 @@ mod tests {
                 json!({"op": "material", "object": "sofa", "albedo": [0.6, 0.1, 0.1]}),
             ),
             (
+                "material --material wood --albedo 1,0,0",
+                json!({"op": "material", "material": "wood", "albedo": [1.0, 0.0, 0.0]}),
+            ),
+            ("hide a b-*", json!({"op": "hide", "objects": ["a", "b-*"]})),
+            ("show a", json!({"op": "show", "objects": ["a"]})),
+            ("undo", json!({"op": "undo"})),
+            ("redo", json!({"op": "redo"})),
+            (
                 "relight lamp --color 1,0.5,0.25",
                 json!({"op": "relight", "lights": [{"light": "lamp", "color": [1.0, 0.5, 0.25]}]}),
             ),

@@ -34,14 +34,34 @@ pub(super) enum Operation {
         #[command(flatten)]
         place: Place,
     },
-    /// Repaint an object
+    /// Repaint an object, a material wherever it is, or one material of an object
+    #[command(group(clap::ArgGroup::new("painted").required(true).multiple(true).args(["object", "material"])))]
     Material {
         /// Name of the object
-        object: String,
+        object: Option<String>,
+        /// Name of the material in the file
+        #[arg(long)]
+        material: Option<String>,
         /// Diffuse albedo, linear RGB
         #[arg(long, value_name = "R,G,B", value_parser = albedo)]
         albedo: Rgb,
     },
+    /// Take objects out of the light, to come back later
+    Hide {
+        /// Names of objects; `*` stands for any part of a name
+        #[arg(value_name = "OBJECT", required = true)]
+        objects: Vec<String>,
+    },
+    /// Bring hidden objects back
+    Show {
+        /// Names of objects; `*` stands for any part of a name
+        #[arg(value_name = "OBJECT", required = true)]
+        objects: Vec<String>,
+    },
+    /// Take the last edit back
+    Undo,
+    /// Make the edit again that was taken back last
+    Redo,
     /// Change a light's colour or intensity
     #[command(group(clap::ArgGroup::new("change").required(true).multiple(true).args(["color", "intensity"])))]
     Relight {
@@ -196,9 +216,16 @@ impl Operation {
             Operation::Move { object, place } => {
                 json!({"op": "move", "object": object, "transform": place.matrix()})
             }
-            Operation::Material { object, albedo } => {
-                json!({"op": "material", "object": object, "albedo": albedo.0})
+            Operation::Material { object, material, albedo } => {
+                let mut edit = json!({"op": "material", "albedo": albedo.0});
+                set(&mut edit, "object", object.as_ref().map(|name| json!(name)));
+                set(&mut edit, "material", material.as_ref().map(|name| json!(name)));
+                edit
             }
+            Operation::Hide { objects } => json!({"op": "hide", "objects": objects}),
+            Operation::Show { objects } => json!({"op": "show", "objects": objects}),
+            Operation::Undo => json!({"op": "undo"}),
+            Operation::Redo => json!({"op": "redo"}),
             Operation::Relight { light, color, intensity } => {
                 let mut change = json!({"light": light});
                 set(&mut change, "color", color.map(|rgb| json!(rgb.0)));

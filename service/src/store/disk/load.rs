@@ -3,6 +3,7 @@
 use std::collections::HashSet;
 use std::sync::Arc;
 
+use jiff::Timestamp;
 use rusqlite::Connection;
 
 use super::blobs::BlobId;
@@ -33,11 +34,20 @@ pub(crate) struct SavedScene {
     pub(crate) record: Result<SceneRecord, StoreError>,
     pub(crate) jobs: u64,
     pub(crate) reserved: u64,
-    pub(crate) edits: Vec<(Sequence, Vec<u8>)>,
+    pub(crate) edits: Vec<SavedEdit>,
     /// The oldest first.
     pub(crate) keys: Vec<KeyRecord>,
     blob: BlobId,
     light: Option<SavedLight>,
+}
+
+/// An accepted edit request as it was kept.
+pub(crate) struct SavedEdit {
+    pub(crate) sequence: Sequence,
+    pub(crate) body: Vec<u8>,
+    /// Not kept by earlier builds.
+    pub(crate) job: Option<JobNumber>,
+    pub(crate) accepted_at: Option<Timestamp>,
 }
 
 #[derive(Default)]
@@ -191,14 +201,17 @@ fn saved_light(row: &rusqlite::Row<'_>) -> rusqlite::Result<Option<SavedLight>> 
     Ok(Some(SavedLight { about, map: row.get(6)?, changed: row.get(7)?, lit }))
 }
 
-/// Requests of edits, in their order.
-type Bodies = Vec<(Sequence, Vec<u8>)>;
-
-/// Edits of a scene, and how many rows were left out.
-fn edits(connection: &Connection, scene: SceneNumber) -> Result<(Bodies, usize), StoreError> {
-    let mut select =
-        connection.prepare_cached("SELECT sequence, body FROM edits WHERE scene = ?1 ORDER BY sequence")?;
-    let rows = select.query_map([scene as i64], |row| Ok((row.get::<_, i64>(0)? as Sequence, row.get(1)?)))?;
+/// Edits of a scene, in their order, and how many rows were left out.
+fn edits(connection: &Connection, scene: SceneNumber) -> Result<(Vec<SavedEdit>, usize), StoreError> {
+    let sql = "SELECT sequence, body, job, accepted_at FROM edits LEFT JOIN history USING (scene, sequence)
+        WHERE scene = ?1 ORDER BY sequence";
+    let mut select = connection.prepare_cached(sql)?;
+    let rows = select.query_map([scene as i64], |row| {
+        // What cannot be read of these two is not told; the scene is whole without.
+        let job = row.get::<_, Option<i64>>(2).ok().flatten().map(|job| job as JobNumber);
+        let accepted_at = row.get::<_, Option<String>>(3).ok().flatten().and_then(|text| text.parse().ok());
+        Ok(SavedEdit { sequence: row.get::<_, i64>(0)? as Sequence, body: row.get(1)?, job, accepted_at })
+    })?;
     readable(rows, "edits")
 }
 

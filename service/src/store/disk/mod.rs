@@ -20,7 +20,7 @@ use rusqlite::{Connection, Transaction, TransactionBehavior};
 use super::StoreError;
 use super::faults::{Faults, WriteStep};
 use blobs::Blobs;
-pub(crate) use load::{Saved, SavedScene};
+pub(crate) use load::{Saved, SavedEdit, SavedScene};
 use spare::Spare;
 
 /// An open data directory. One process at a time has it.

@@ -91,6 +91,9 @@ impl Store for Disk {
             if let Some(edit) = &request.edit {
                 let sql = "INSERT INTO edits (scene, sequence, body) VALUES (?1, ?2, ?3)";
                 t.execute(sql, (scene, edit.sequence as i64, edit.body))?;
+                let sql = "INSERT INTO history (scene, sequence, job, accepted_at) VALUES (?1, ?2, ?3, ?4)";
+                let job = request.job.job.number as i64;
+                t.execute(sql, (scene, edit.sequence as i64, job, edit.accepted_at.to_string()))?;
             }
             t.execute("UPDATE scenes SET jobs = ?2 WHERE number = ?1", (scene, request.jobs as i64))?;
             if let Some(key) = request.key {
