@@ -15,8 +15,8 @@ use crate::world::World;
 /// Independent parts of a point's samples; their scatter is the error of their mean.
 const PARTS: u32 = 8;
 
-/// Largest extent of triangles, metres, that points are taken off as elements are: nothing tells which one they are on.
-const EXTENT: f32 = 100.0;
+/// Points are taken off as elements of triangles of this extent are, metres: nothing tells what they are on.
+const EXTENT: f32 = 1.0;
 
 /// Which light, and from how many samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -142,7 +142,8 @@ mod tests {
         for (point, expected) in found.iter().zip([3.0 / 4.0, 3.0 / 8.0 * 0.5_f32.sqrt(), 0.0]) {
             let expected = expected / std::f32::consts::PI;
             assert!((point.light.x - expected).abs() < 1e-5, "{point:?} {expected}");
-            assert_eq!(point.error, 0.0);
+            // But for the rounding of their mean, all samples are the same.
+            assert!(point.error <= 1e-6 * point.light.x, "{point:?}");
         }
     }
 

@@ -13,12 +13,26 @@ const MAX_EDITS: usize = 1024;
 
 /// An equivalent list, as short as it gets. Relights of several lights count as several edits.
 pub(crate) fn simplify(edits: impl IntoIterator<Item = Edit>) -> Vec<Edit> {
-    let mut edits: Vec<Option<Edit>> = edits.into_iter().flat_map(Edit::split).map(Some).collect();
-    if edits.len() <= MAX_EDITS {
-        for later in 1..edits.len() {
-            let (before, rest) = edits.split_at_mut(later);
-            rest[0] = rest[0].take().and_then(|edit| absorb(before, &edit));
+    let mut edits: Vec<Edit> = edits.into_iter().flat_map(Edit::split).collect();
+    if edits.len() > MAX_EDITS {
+        return edits;
+    }
+    loop {
+        let count = edits.len();
+        edits = absorbed(edits);
+        // What went last may have been all that kept an earlier one.
+        if edits.len() == count {
+            return edits;
         }
+    }
+}
+
+/// What is left where every edit has absorbed what it can of those before it.
+fn absorbed(edits: Vec<Edit>) -> Vec<Edit> {
+    let mut edits: Vec<Option<Edit>> = edits.into_iter().map(Some).collect();
+    for later in 1..edits.len() {
+        let (before, rest) = edits.split_at_mut(later);
+        rest[0] = rest[0].take().and_then(|edit| absorb(before, &edit));
     }
     edits.into_iter().flatten().collect()
 }

@@ -105,7 +105,8 @@ impl History {
     /// Requests after `after`, the oldest first, with their sequence numbers.
     pub(crate) fn after(&self, after: Sequence, limit: usize) -> Vec<(Sequence, Accepted)> {
         let from = usize::try_from(after).unwrap_or(usize::MAX);
-        (after.saturating_add(1)..).zip(self.accepted.iter().skip(from).cloned()).take(limit).collect()
+        let numbered = self.accepted.iter().enumerate().skip(from).take(limit);
+        numbered.map(|(index, accepted)| (index as Sequence + 1, accepted.clone())).collect()
     }
 }
 
