@@ -15,7 +15,7 @@ pub struct NewScene {
     pub mode: Option<String>,
     /// Constant radiance from outside.
     pub environment: Option<[f32; 3]>,
-    /// A picture of the sky: what [`crate::Client::create_asset`] answered.
+    /// A picture of the sky: what [`crate::client::Client::create_asset`] answered.
     pub sky: Option<String>,
     /// By how much it is turned about +y, degrees.
     pub sky_rotation: Option<f32>,
