@@ -8,6 +8,7 @@ mod ambient;
 mod bake;
 mod bits;
 pub mod bvh;
+mod chunks;
 pub mod delta;
 mod drag;
 pub mod edit;
@@ -44,6 +45,7 @@ mod value;
 mod world;
 
 pub use bake::bake;
+pub use chunks::Chunks;
 pub use drag::DragBasis;
 pub use edit::{Edit, EditError, EditErrorKind, Relight, Restore};
 pub use focus::Focus;

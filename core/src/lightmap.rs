@@ -4,6 +4,8 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
+use crate::chunks::Chunks;
+
 /// A map has at most so many layers. Where more lights are relit one by one, those that are left share a layer.
 pub const MAX_LAYERS: usize = 16;
 
@@ -100,9 +102,9 @@ impl LightMap {
     }
 
     /// Area-weighted root of the mean variance: the stated error.
-    pub fn estimated_rmse(&self, areas: &[f32]) -> f32 {
+    pub fn estimated_rmse(&self, areas: &Chunks<f32>) -> f32 {
         let (mut sum, mut area) = (0.0f64, 0.0f64);
-        for (v, a) in self.variance.iter().zip(areas) {
+        for (v, a) in self.variance.iter().zip(areas.iter()) {
             sum += f64::from(*v) * f64::from(*a);
             area += f64::from(*a);
         }

@@ -79,7 +79,7 @@ fn blend(world: &World, old: &LightMap, mut new: LightMap) -> LightMap {
 /// Area-weighted mean variance per object.
 fn variances(world: &World, map: &LightMap) -> BTreeMap<u32, f64> {
     let mut sums: BTreeMap<u32, (f64, f64)> = BTreeMap::new();
-    for ((key, area), variance) in world.space.slots().owners.iter().zip(world.areas()).zip(&map.variance) {
+    for ((key, area), variance) in world.space.slots().owners.iter().zip(world.areas().iter()).zip(&map.variance) {
         let sum = sums.entry(*key).or_default();
         sum.0 += f64::from(*area) * f64::from(*variance);
         sum.1 += f64::from(*area);

@@ -1,6 +1,7 @@
 //! Tiles of elements, and their order: pure functions of positions and keys.
 
 use std::collections::BTreeMap;
+use std::ops::Index;
 
 use glam::Vec3;
 
@@ -9,7 +10,12 @@ const MOST: usize = 256;
 
 /// Groups of about `size` slots out of those whose key is finite, whole cells each, ordered by the least key in them.
 /// `cells` tells per slot which cell it belongs to. Slots of a tile ascend.
-pub(crate) fn cut(positions: &[Vec3], cells: &[u32], keys: &[f32], size: u32) -> Vec<Vec<u32>> {
+pub(crate) fn cut(
+    positions: &impl Index<usize, Output = Vec3>,
+    cells: &[u32],
+    keys: &[f32],
+    size: u32,
+) -> Vec<Vec<u32>> {
     let mut members: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
     for slot in (0..keys.len()).filter(|&slot| keys[slot].is_finite()) {
         members.entry(cells[slot]).or_default().push(slot as u32);

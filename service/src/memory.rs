@@ -20,7 +20,7 @@ const UNKNOWN_MACHINE: u64 = 8 << 30;
 
 /// Bytes that a scene will take, from its area and its vertices. Rather too much than too little.
 pub(crate) fn estimate(scene: &Scene, spacing: Option<f32>) -> u64 {
-    let area: f64 = scene.objects.iter().map(object_area).sum();
+    let area: f64 = scene.objects.iter().map(|object| object_area(object)).sum();
     estimate_bytes(vertices(scene), area, spacing.unwrap_or_else(|| default_spacing(area, DEFAULT_ELEMENTS)))
 }
 

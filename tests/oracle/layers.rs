@@ -67,7 +67,7 @@ fn alone(world: &World, layer: &Layer) -> World {
     let reference = |light: &Light| layer.lights.iter().find(|l| l.name == light.name).map(|l| l.reference);
     let lit = |light: &Light| reference(light).map(|color| Light { color, intensity: 1.0, ..light.clone() });
     let lights = world.scene.lights.iter().filter_map(lit).collect();
-    let scene = Scene { lights, groups: std::collections::BTreeMap::new(), ..world.scene.clone() };
+    let scene = Scene { lights, groups: std::collections::BTreeMap::new(), ..Scene::clone(&world.scene) };
     let options = WorldOptions { spacing: Some(world.spacing()), ..WorldOptions::default() };
     World::new(scene, &options).expect("it was a scene before")
 }

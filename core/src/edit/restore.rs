@@ -22,13 +22,13 @@ pub(crate) enum Restored {
     /// It is not there any more.
     Gone(String),
     /// It is there, at this place in the list.
-    Back(usize, Object),
+    Back(usize, Arc<Object>),
     /// It stands elsewhere.
-    Moved(Object),
+    Moved(Arc<Object>),
     /// Its materials differ.
-    Painted(Object),
+    Painted(Arc<Object>),
     /// It has another surface, or differs in more than one way.
-    Replaced(Object),
+    Replaced(Arc<Object>),
 }
 
 /// All that a scene knows of lights.
@@ -71,7 +71,7 @@ impl Restored {
         }
     }
 
-    fn between(from: &Object, to: &Object) -> Option<Restored> {
+    fn between(from: &Object, to: &Arc<Object>) -> Option<Restored> {
         let is_placed_alike = from.world_from_object == to.world_from_object;
         let is_painted_alike = from.materials == to.materials;
         let same_look = |(a, b): (&Option<Arc<_>>, &Option<Arc<_>>)| match (a, b) {
@@ -82,9 +82,9 @@ impl Restored {
         let is_same_mesh = Arc::ptr_eq(&from.mesh, &to.mesh) && from.is_hidden == to.is_hidden && has_same_looks;
         match (is_same_mesh, is_placed_alike, is_painted_alike) {
             (true, true, true) => None,
-            (true, false, true) => Some(Restored::Moved(to.clone())),
-            (true, true, false) => Some(Restored::Painted(to.clone())),
-            _ => Some(Restored::Replaced(to.clone())),
+            (true, false, true) => Some(Restored::Moved(Arc::clone(to))),
+            (true, true, false) => Some(Restored::Painted(Arc::clone(to))),
+            _ => Some(Restored::Replaced(Arc::clone(to))),
         }
     }
 
@@ -105,13 +105,13 @@ impl Restored {
 impl Restore {
     /// What takes `from` to `to`, which are states of one scene.
     pub fn between(from: &Scene, to: &Scene) -> Restore {
-        let old: BTreeMap<&str, &Object> = from.objects.iter().map(|o| (o.name.as_str(), o)).collect();
+        let old: BTreeMap<&str, &Arc<Object>> = from.objects.iter().map(|o| (o.name.as_str(), o)).collect();
         let names: BTreeSet<&str> = to.objects.iter().map(|o| o.name.as_str()).collect();
         let gone = from.objects.iter().filter(|o| !names.contains(o.name.as_str()));
         let mut objects: Vec<Restored> = gone.map(|o| Restored::Gone(o.name.clone())).collect();
         objects.extend(to.objects.iter().enumerate().filter_map(
             |(index, object)| match old.get(object.name.as_str()) {
-                None => Some(Restored::Back(index, object.clone())),
+                None => Some(Restored::Back(index, Arc::clone(object))),
                 Some(old) => Restored::between(old, object),
             },
         ));

@@ -33,6 +33,7 @@ pub fn lightmap_exr(values: &[Vec3]) -> Result<Vec<u8>, ExportError> {
 struct Piece {
     index: usize,
     positions: Vec<Vec3>,
+    normals: Vec<Vec3>,
     triangles: Vec<[u32; 3]>,
     triangle_materials: Vec<u32>,
     materials: Vec<Material>,
@@ -48,6 +49,7 @@ impl Piece {
         let mut piece = Piece {
             index,
             positions: placed.layout.corners(&placed.surface),
+            normals: world.normals().copy(placed.placement.element_indices()),
             triangles: cells.iter().map(|patch| patch.elements).collect(),
             triangle_materials: cells.iter().map(material).collect(),
             materials: object.materials.clone(),
@@ -78,7 +80,7 @@ impl Piece {
         MeshExport {
             name: &world.scene.objects[self.index].name,
             positions: &self.positions,
-            normals: &world.normals()[range.clone()],
+            normals: &self.normals,
             colors: &values[range],
             triangles: &self.triangles,
             triangle_materials: &self.triangle_materials,

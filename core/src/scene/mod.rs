@@ -27,13 +27,13 @@ use std::sync::Arc;
 
 use glam::{DMat4, DVec3, Vec2, Vec3, Vec4};
 
-/// A scene without its light map. Cheap to clone: geometry is shared.
+/// A scene without its light map. Cheap to clone: objects are shared.
 #[derive(Clone, Debug)]
 pub struct Scene {
     /// World-space point (metres) that is the zero of scene space.
     pub origin: DVec3,
     /// Objects in the order of their glTF nodes, inserted ones behind them. Names are unique.
-    pub objects: Vec<Object>,
+    pub objects: Vec<Arc<Object>>,
     /// All lights, emissive surfaces included. Names are unique.
     pub lights: Vec<Light>,
     /// Names of lights that shall share a layer of the light map, with the name of that layer.

@@ -165,7 +165,7 @@ impl Scene {
         Self {
             origin: glam::DVec3::ZERO,
             lights: objects.iter().flat_map(Object::emissive_lights).collect(),
-            objects,
+            objects: objects.into_iter().map(Arc::new).collect(),
             groups: BTreeMap::new(),
             light_parents: BTreeMap::new(),
             hidden_lights: BTreeMap::new(),

@@ -99,11 +99,12 @@ impl Subset {
         let of_side = |side: &Side| {
             let first = side.members.start;
             let mut areas = vec![0.0; side.members.len()];
-            let elements = &world.areas()[side.first_slot as usize..][..side.placed.layout.len()];
-            for (area, element) in elements.iter().zip(0..) {
+            let element_area = |element: u32| world.areas()[(side.first_slot + element) as usize];
+            for element in 0..side.placed.layout.len() as u32 {
+                let area = element_area(element);
                 side.entries_of(element).for_each(|(i, weight)| areas[i - first] += area * weight);
             }
-            side.alone.iter().for_each(|&(element, i)| areas[i as usize - first] += elements[element as usize]);
+            side.alone.iter().for_each(|&(element, i)| areas[i as usize - first] += element_area(element));
             areas
         };
         self.sides.par_iter().flat_map_iter(of_side).collect()

@@ -1,5 +1,7 @@
 //! What a look-up reads.
 
+use std::ops::Index;
+
 use glam::Vec3;
 
 /// The slots that hold the light of a point, and their weights, which sum to 1.
@@ -35,7 +37,7 @@ impl Footprint {
 
     /// The weighted mean of some values, one per slot.
     #[inline]
-    pub(crate) fn interpolate<V>(&self, values: &[V]) -> V
+    pub(crate) fn interpolate<V>(&self, values: &(impl Index<usize, Output = V> + ?Sized)) -> V
     where
         V: Copy + std::ops::Add<Output = V> + std::ops::Mul<f32, Output = V>,
     {

@@ -61,6 +61,11 @@ impl Elements {
             areas: self.areas.clone(),
         }
     }
+
+    /// Distance of the farthest one from the zero of scene space, m.
+    pub(crate) fn reach(&self) -> f32 {
+        self.positions.iter().map(|p| p.length_squared()).fold(0.0, f32::max).sqrt()
+    }
 }
 
 impl Layout {

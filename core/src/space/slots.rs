@@ -8,21 +8,22 @@ use glam::Vec3;
 use super::holes::Holes;
 use super::layout::Elements;
 use super::offset::ray_offset;
+use crate::chunks::Chunks;
 
 /// Marks a slot without an object.
 pub const NO_OBJECT: u32 = u32::MAX;
 
 /// Elements of all objects.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Slots {
     /// Sample points, scene space.
-    pub positions: Vec<Vec3>,
+    pub positions: Chunks<Vec3>,
     /// Unit normals.
-    pub normals: Vec<Vec3>,
+    pub normals: Chunks<Vec3>,
     /// m²; zero in holes.
-    pub areas: Vec<f32>,
+    pub areas: Chunks<f32>,
     /// Key of the owning object, or [`NO_OBJECT`].
-    pub owners: Vec<u32>,
+    pub owners: Chunks<u32>,
     /// By key of an object: longest side of its triangles' boxes, m.
     extents: Vec<f32>,
     free: Holes,
@@ -67,17 +68,6 @@ fn indices(range: &Range<u32>) -> Range<usize> {
     range.start as usize..range.end as usize
 }
 
-/// An edit of geometry copies all arrays: on two threads.
-impl Clone for Slots {
-    fn clone(&self) -> Self {
-        let ((positions, areas), (normals, owners)) = rayon::join(
-            || (self.positions.clone(), self.areas.clone()),
-            || (self.normals.clone(), self.owners.clone()),
-        );
-        Slots { positions, normals, areas, owners, extents: self.extents.clone(), free: self.free.clone() }
-    }
-}
-
 impl Slots {
     /// Puts elements into free slots, those of the back behind those of the front.
     pub(super) fn place(&mut self, elements: &Elements, extent: f32, key: u32, with_back: bool) -> Range<u32> {
@@ -86,13 +76,12 @@ impl Slots {
         let first = self.free.take(count, self.owners.len());
         let end = first + count;
         if end > self.owners.len() {
-            self.reserve(end);
-            self.positions.resize(end, Vec3::ZERO);
-            self.normals.resize(end, Vec3::ZERO);
-            self.areas.resize(end, 0.0);
-            self.owners.resize(end, NO_OBJECT);
+            self.positions.grow(end);
+            self.normals.grow(end);
+            self.areas.grow(end);
+            self.owners.grow(end);
         }
-        self.owners[first..end].fill(key);
+        self.owners.fill(first..end, key);
         if self.extents.len() <= key as usize {
             self.extents.resize(key as usize + 1, 0.0);
         }
@@ -103,23 +92,23 @@ impl Slots {
 
     /// Makes room for so many slots, and no more.
     pub(super) fn reserve(&mut self, slots: usize) {
-        let more = slots.saturating_sub(self.owners.len());
-        self.positions.reserve_exact(more);
-        self.normals.reserve_exact(more);
-        self.areas.reserve_exact(more);
-        self.owners.reserve_exact(more);
+        self.positions.reserve(slots);
+        self.normals.reserve(slots);
+        self.areas.reserve(slots);
+        self.owners.reserve(slots);
     }
 
     /// Writes elements whose slots are there already.
     pub(super) fn write(&mut self, elements: &Elements, first: usize, with_back: bool) {
         let n = elements.positions.len();
         for first in [Some(first), with_back.then_some(first + n)].into_iter().flatten() {
-            self.positions[first..first + n].copy_from_slice(&elements.positions);
-            self.normals[first..first + n].copy_from_slice(&elements.normals);
-            self.areas[first..first + n].copy_from_slice(&elements.areas);
+            self.positions.write(first, &elements.positions);
+            self.areas.write(first, &elements.areas);
         }
+        self.normals.write(first, &elements.normals);
         if with_back {
-            self.normals[first + n..first + 2 * n].iter_mut().for_each(|normal| *normal = -*normal);
+            let backwards: Vec<Vec3> = elements.normals.iter().map(|normal| -normal).collect();
+            self.normals.write(first + n, &backwards);
         }
     }
 
@@ -127,9 +116,9 @@ impl Slots {
     pub(super) fn read(&self, first: usize, count: usize) -> Elements {
         let range = first..first + count;
         Elements {
-            positions: self.positions[range.clone()].to_vec(),
-            normals: self.normals[range.clone()].to_vec(),
-            areas: self.areas[range].to_vec(),
+            positions: self.positions.copy(range.clone()),
+            normals: self.normals.copy(range.clone()),
+            areas: self.areas.copy(range),
         }
     }
 
@@ -142,18 +131,19 @@ impl Slots {
 
     /// Frees slots.
     pub(super) fn clear(&mut self, range: Range<usize>) {
-        self.positions[range.clone()].fill(Vec3::ZERO);
-        self.normals[range.clone()].fill(Vec3::ZERO);
-        self.areas[range.clone()].fill(0.0);
-        self.owners[range.clone()].fill(NO_OBJECT);
+        self.positions.fill(range.clone(), Vec3::ZERO);
+        self.normals.fill(range.clone(), Vec3::ZERO);
+        self.areas.fill(range.clone(), 0.0);
+        self.owners.fill(range.clone(), NO_OBJECT);
         self.free.give(range);
     }
 
     /// Bytes held.
     pub(super) fn memory_bytes(&self) -> usize {
-        (self.positions.capacity() + self.normals.capacity()) * size_of::<Vec3>()
-            + self.areas.capacity() * size_of::<f32>()
-            + self.owners.capacity() * size_of::<u32>()
+        self.positions.memory_bytes()
+            + self.normals.memory_bytes()
+            + self.areas.memory_bytes()
+            + self.owners.memory_bytes()
             + self.extents.capacity() * size_of::<f32>()
     }
 }

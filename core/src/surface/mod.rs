@@ -10,7 +10,7 @@ mod tests;
 mod topology;
 mod weld;
 
-pub use self::build::{DEFAULT_ELEMENTS, default_spacing, object_area};
+pub use self::build::{DEFAULT_ELEMENTS, default_spacing, object_area, spacing_of};
 
 pub(crate) use self::build::{barycentrics, triangle_area};
 pub(crate) use self::corners::Corners;

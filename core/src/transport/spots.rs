@@ -106,8 +106,9 @@ impl Spots {
         let amount = |light: V| light.weighted(weights).abs();
         let amounts: Vec<f32> = light.par_iter().with_min_len(CHUNK).map(|l| amount(*l).element_sum()).collect();
         let places = || {
-            let chunks = world.areas().par_chunks(CHUNK).zip(amounts.par_chunks(CHUNK));
-            chunks.map(|(areas, amounts)| areas.iter().copied().zip(amounts.iter().copied()))
+            let areas = |first: usize, count: usize| world.areas().range(first..first + count).copied();
+            let chunks = amounts.par_chunks(CHUNK).enumerate();
+            chunks.map(move |(k, amounts)| areas(k * CHUNK, amounts.len()).zip(amounts.iter().copied()))
         };
         let limit = limit(places());
         (share_of_bright(places(), limit) > least).then_some(())?;

@@ -45,6 +45,16 @@ impl Draft {
         Draft { world: world.clone(), gone: BTreeMap::new(), come: BTreeSet::new(), touched: Vec::new() }
     }
 
+    /// The scene, to be changed.
+    pub(super) fn scene_mut(&mut self) -> &mut Scene {
+        Arc::make_mut(&mut self.world.scene)
+    }
+
+    /// An object, to be changed.
+    pub(super) fn object_mut(&mut self, index: usize) -> &mut Object {
+        Arc::make_mut(&mut self.scene_mut().objects[index])
+    }
+
     fn apply(&mut self, edit: &Edit) -> Result<(), EditError> {
         match edit {
             Edit::Insert { asset, name, transform } => {
@@ -54,10 +64,10 @@ impl Draft {
                 object.world_from_object = *transform;
                 for light in lights {
                     self.check_free_light(&light.name)?;
-                    self.world.scene.light_parents.insert(light.name.clone(), name.clone());
-                    self.world.scene.lights.push(transformed_light(light, transform));
+                    self.scene_mut().light_parents.insert(light.name.clone(), name.clone());
+                    self.scene_mut().lights.push(transformed_light(light, transform));
                 }
-                self.add_object(object)
+                self.add_object(Arc::new(object))
             }
             Edit::Remove { objects } => {
                 self.find_all(objects)?.into_iter().rev().for_each(|i| self.remove_object(i));
@@ -86,14 +96,14 @@ impl Draft {
                 }
                 let light = Light { name: name.clone(), kind: kind.clone(), color: *color, intensity: *intensity };
                 check_kind(&light.kind)?;
-                self.world.scene.lights.push(light);
+                self.scene_mut().lights.push(light);
                 Ok(())
             }
             Edit::Sky { kind, color, intensity } => self.set_sky(kind, *color, *intensity),
             Edit::RemoveLight { light } => {
                 let index = self.light_index("light", light)?;
-                self.world.scene.lights.remove(index);
-                self.world.scene.light_parents.remove(light);
+                self.scene_mut().lights.remove(index);
+                self.scene_mut().light_parents.remove(light);
                 Ok(())
             }
             Edit::MoveLight { light, position, direction, drag } => {
@@ -101,7 +111,7 @@ impl Draft {
                 if *drag {
                     self.set_apart(light);
                 }
-                move_light(&mut self.world.scene.lights[index].kind, *position, *direction)
+                move_light(&mut self.scene_mut().lights[index].kind, *position, *direction)
             }
             Edit::GroupLights { group, lights } => self.group_lights(group.as_deref(), lights),
         }
@@ -156,7 +166,7 @@ impl Draft {
         if name.is_empty() || name.len() > 256 {
             return Err(invalid("name", "must have 1 to 256 bytes"));
         }
-        let Scene { lights, hidden_lights, .. } = &self.world.scene;
+        let Scene { lights, hidden_lights, .. } = &*self.world.scene;
         let hidden = hidden_lights.values().flatten().map(|hidden| &hidden.light);
         if lights.iter().chain(hidden).any(|l| l.name == name) {
             return Err(error("name", format!("there is a light named {name:?} already"), EditErrorKind::Conflict));
@@ -164,7 +174,7 @@ impl Draft {
         Ok(())
     }
 
-    pub(super) fn add_object(&mut self, object: Object) -> Result<(), EditError> {
+    pub(super) fn add_object(&mut self, object: Arc<Object>) -> Result<(), EditError> {
         let world = &self.world;
         let ready =
             build::Ready::new(&world.scene, &object, world.resolution, &world.options).map_err(|e| too_large(&e))?;
@@ -174,16 +184,16 @@ impl Draft {
         self.world.next_key += 1;
         let placed = ready.place(&mut self.world.space, &object, key, false);
         self.touched.push(placed.surface.bounds());
-        self.world.scene.objects.push(object);
+        self.scene_mut().objects.push(object);
         self.world.placed.push(Arc::new(placed));
         self.come.insert(key);
         Ok(())
     }
 
     pub(super) fn remove_object(&mut self, index: usize) {
-        let object = self.world.scene.objects.remove(index);
+        let object = self.scene_mut().objects.remove(index);
         let placed = self.world.placed.remove(index);
-        let Scene { lights, light_parents, hidden_lights, .. } = &mut self.world.scene;
+        let Scene { lights, light_parents, hidden_lights, .. } = self.scene_mut();
         hidden_lights.remove(&object.name);
         // Its emissive surfaces go with it, and the lamps that hang on it.
         lights.retain(|l| match &l.kind {
@@ -213,17 +223,17 @@ impl Draft {
 
     pub(super) fn move_object(&mut self, index: usize, transform: &DMat4) -> Result<(), EditError> {
         let old = Arc::clone(&self.world.placed[index]);
-        let mut object = self.world.scene.objects[index].clone();
+        let mut object = Object::clone(&self.world.scene.objects[index]);
         let step = *transform * object.world_from_object.inverse();
         object.world_from_object = *transform;
         self.move_lamps_of(&object.name, &step);
         if object.is_hidden {
-            self.world.scene.objects[index] = object;
+            self.scene_mut().objects[index] = Arc::new(object);
             return Ok(());
         }
         if !is_rigid(&step) {
             // Another size asks for other elements.
-            return self.replace_object(index, object);
+            return self.replace_object(index, Arc::new(object));
         }
         let to_scene = DMat4::from_translation(-self.world.scene.origin);
         let motion = to_scene * step * to_scene.inverse();
@@ -241,15 +251,16 @@ impl Draft {
             coarse: Arc::clone(&old.coarse),
             placement: old.placement.clone(),
             with_back: old.with_back,
+            reach: elements.reach(),
         };
-        self.world.scene.objects[index] = object;
+        self.scene_mut().objects[index] = Arc::new(object);
         self.world.placed[index] = Arc::new(placed);
         Ok(())
     }
 
     /// Lamps that hang on an object go where it goes.
     fn move_lamps_of(&mut self, object: &str, step: &DMat4) {
-        let Scene { lights, light_parents, hidden_lights, .. } = &mut self.world.scene;
+        let Scene { lights, light_parents, hidden_lights, .. } = self.scene_mut();
         let of_object = |light: &&mut Light| light_parents.get(&light.name).is_some_and(|parent| parent == object);
         let hidden = hidden_lights.get_mut(object).into_iter().flatten().filter(|hidden| hidden.hangs);
         let all = lights.iter_mut().filter(of_object).chain(hidden.map(|hidden| &mut hidden.light));
@@ -258,18 +269,18 @@ impl Draft {
 
     /// An object leaves its slots and another comes in new ones. In the list it stays where it was, and what hangs on it
     /// stays there, too.
-    pub(super) fn replace_object(&mut self, index: usize, object: Object) -> Result<(), EditError> {
+    pub(super) fn replace_object(&mut self, index: usize, object: Arc<Object>) -> Result<(), EditError> {
         let lights = Lights::of(&self.world.scene);
         self.remove_object(index);
         self.add_object(object)?;
-        self.world.scene.objects[index..].rotate_right(1);
+        self.scene_mut().objects[index..].rotate_right(1);
         self.world.placed[index..].rotate_right(1);
         self.set_lights(lights);
         Ok(())
     }
 
     fn finish(mut self, before: &World) -> Result<Transition, EditError> {
-        let scene = &mut self.world.scene;
+        let scene = self.scene_mut();
         let names: BTreeSet<&str> = scene.lights.iter().map(|light| light.name.as_str()).collect();
         scene.groups.retain(|light, _| names.contains(light.as_str()));
         // An object that came and went within the request leaves a trace in `touched` only, which is harmless.

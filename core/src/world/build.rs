@@ -12,13 +12,13 @@ use super::{Coarse, Emitters, Placed, Resolution, Trees, Validity, World, WorldE
 use crate::bvh::{BuildQuality, Bvh};
 use crate::scene::{Object, Scene};
 use crate::space::{Albedo, Albedos, Elements, Layout, Space};
-use crate::surface::{DEFAULT_ELEMENTS, SeeThrough, Surface, default_spacing, object_area};
+use crate::surface::{self, SeeThrough, Surface};
 
 /// Edge of the cells that smooth light is evaluated in, in units of [`Resolution::smooth`].
 pub(crate) const COARSE_RADIUS: f32 = 2.5;
 
 pub(super) fn build(scene: Scene, options: &WorldOptions) -> Result<World, WorldError> {
-    let default = default_spacing(scene.objects.par_iter().map(object_area).sum(), DEFAULT_ELEMENTS);
+    let default = surface::spacing_of(&scene);
     let spacing = spacing_of(options, default)?;
     if !(0.0..=1.0).contains(&options.max_albedo) {
         return Err(WorldError::MaxAlbedo(options.max_albedo));
@@ -38,7 +38,7 @@ pub(super) fn build(scene: Scene, options: &WorldOptions) -> Result<World, World
     let trees = big_tree(&placed, 0);
     let next_key = placed.len() as u32;
     let mut world = World {
-        scene,
+        scene: Arc::new(scene),
         options: *options,
         resolution,
         placed: placed.into_iter().map(Arc::new).collect(),
@@ -119,7 +119,8 @@ impl Ready {
         let materials = albedos.of_materials.into_iter().zip(object.materials.iter().map(|m| m.double_sided));
         let placement =
             space.place((&surface, &layout, &elements), albedos.by_place.as_ref(), materials, key, with_back);
-        Placed { key, surface, see_through, layout, coarse, placement, with_back }
+        let reach = elements.reach();
+        Placed { key, surface, see_through, layout, coarse, placement, with_back, reach }
     }
 }
 
@@ -193,8 +194,7 @@ fn give_backs(world: &mut World) -> Result<(), WorldError> {
 
 impl World {
     pub(super) fn resolve_emitters(&self) -> Emitters {
-        let distances2 = self.positions().par_iter().with_min_len(4096).map(|p| p.length_squared());
-        let radius = distances2.reduce(|| 0.0, f32::max).sqrt();
+        let radius = self.placed.iter().map(|placed| placed.reach).fold(0.0, f32::max);
         Emitters::new(&self.scene.lights, self.scene.origin, radius, |name, material| {
             let index = self.scene.objects.iter().position(|o| o.name == name)?;
             let (object, placed) = (&self.scene.objects[index], &self.placed[index]);

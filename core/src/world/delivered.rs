@@ -73,8 +73,8 @@ impl World {
         for placed in objects {
             for side in placed.sides() {
                 let own = side.start as usize..side.end as usize;
-                let areas = &self.areas()[own.clone()];
-                (0..3).for_each(|channel| raise(placed, areas, &mut values[own.clone()], channel));
+                let areas = self.areas().copy(own.clone());
+                (0..3).for_each(|channel| raise(placed, &areas, &mut values[own.clone()], channel));
             }
         }
     }

@@ -1,14 +1,16 @@
 //! Objects that are there and take no part in light: without surface, elements and lights until they are shown again.
 
+use std::sync::Arc;
+
 use super::apply::Draft;
 use crate::edit::{EditError, Lights};
-use crate::scene::{HiddenLight, Light, LightKind, Scene};
+use crate::scene::{HiddenLight, Light, LightKind, Object, Scene};
 
 impl Draft {
     /// Hides objects, or shows them. What is so already stays as it is.
     pub(super) fn set_hidden(&mut self, patterns: &[String], is_hidden: bool) -> Result<(), EditError> {
         for index in self.find_all(patterns)? {
-            let mut object = self.world.scene.objects[index].clone();
+            let mut object = Object::clone(&self.world.scene.objects[index]);
             if object.is_hidden == is_hidden {
                 continue;
             }
@@ -17,7 +19,7 @@ impl Draft {
             if is_hidden {
                 self.put_out(&name);
             }
-            self.replace_object(index, object)?;
+            self.replace_object(index, Arc::new(object))?;
             if !is_hidden {
                 self.put_on(&name);
             }
@@ -27,7 +29,7 @@ impl Draft {
 
     /// Takes the lights of an object out of the scene, and keeps them.
     fn put_out(&mut self, object: &str) {
-        let Scene { lights, light_parents, groups, hidden_lights, .. } = &mut self.world.scene;
+        let Scene { lights, light_parents, groups, hidden_lights, .. } = self.scene_mut();
         let is_its = |light: &Light| match &light.kind {
             LightKind::Emissive { object: owner, .. } => owner == object,
             _ => light_parents.get(&light.name).is_some_and(|parent| parent == object),
@@ -44,7 +46,7 @@ impl Draft {
 
     /// Puts them back.
     fn put_on(&mut self, object: &str) {
-        let Scene { lights, light_parents, groups, hidden_lights, .. } = &mut self.world.scene;
+        let Scene { lights, light_parents, groups, hidden_lights, .. } = self.scene_mut();
         for HiddenLight { light, hangs, group } in hidden_lights.remove(object).unwrap_or_default() {
             if hangs {
                 light_parents.insert(light.name.clone(), object.to_owned());
@@ -56,7 +58,7 @@ impl Draft {
 
     /// All that the scene knows of lights.
     pub(super) fn set_lights(&mut self, to: Lights) {
-        let Scene { lights, light_parents, groups, hidden_lights, .. } = &mut self.world.scene;
+        let Scene { lights, light_parents, groups, hidden_lights, .. } = self.scene_mut();
         (*lights, *light_parents, *groups, *hidden_lights) = (to.lights, to.parents, to.groups, to.hidden);
     }
 }

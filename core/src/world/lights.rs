@@ -14,7 +14,7 @@ impl Draft {
     pub(super) fn relight(&mut self, relight: &Relight) -> Result<(), EditError> {
         let index = self.light_index("light", &relight.light)?;
         check_strength(relight.color, relight.intensity)?;
-        let light = &mut self.world.scene.lights[index];
+        let light = &mut self.scene_mut().lights[index];
         light.color = relight.color.unwrap_or(light.color);
         light.intensity = relight.intensity.unwrap_or(light.intensity);
         Ok(())
@@ -28,7 +28,7 @@ impl Draft {
             return Err(invalid("kind", "must be light from outside"));
         }
         let sky = Light { name: ENVIRONMENT.to_owned(), kind: kind.clone(), color, intensity };
-        let lights = &mut self.world.scene.lights;
+        let lights = &mut self.scene_mut().lights;
         match lights.iter_mut().find(|light| light.name == ENVIRONMENT) {
             None => lights.push(sky),
             Some(light) if light.kind.is_from_outside() => *light = sky,
@@ -42,7 +42,7 @@ impl Draft {
 
     /// Gives a light that is in no group one of its own, where there is room.
     pub(super) fn set_apart(&mut self, light: &str) {
-        let groups = &mut self.world.scene.groups;
+        let groups = &mut self.scene_mut().groups;
         let names: BTreeSet<&str> = groups.values().map(String::as_str).collect();
         if !groups.contains_key(light) && !names.contains(light) && names.len() < MAX_GROUPS {
             groups.insert(light.to_owned(), light.to_owned());
@@ -59,8 +59,8 @@ impl Draft {
         for (k, light) in lights.iter().enumerate() {
             self.light_index(&format!("lights[{k}]"), light)?;
             match group {
-                Some(group) => self.world.scene.groups.insert(light.clone(), group.to_owned()),
-                None => self.world.scene.groups.remove(light),
+                Some(group) => self.scene_mut().groups.insert(light.clone(), group.to_owned()),
+                None => self.scene_mut().groups.remove(light),
             };
         }
         let groups: BTreeSet<&String> = self.world.scene.groups.values().collect();

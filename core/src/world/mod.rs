@@ -19,6 +19,8 @@ mod paint;
 mod probe;
 mod restore;
 mod same;
+#[cfg(test)]
+mod sharing;
 mod sight;
 mod transition;
 mod trees;
@@ -41,6 +43,7 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use crate::chunks::Chunks;
 use crate::scene::{DEFAULT_MAX_ALBEDO, Scene};
 use crate::space::{Layout, Placement, Space};
 use crate::surface::{SeeThrough, Surface, SurfaceError};
@@ -140,6 +143,8 @@ pub(crate) struct Placed {
     pub placement: Placement,
     /// The back has elements of its own.
     pub with_back: bool,
+    /// Distance of its farthest element from the zero of scene space, m.
+    pub reach: f32,
 }
 
 impl Placed {
@@ -164,7 +169,7 @@ pub(crate) struct Resolution {
 #[derive(Clone, Debug)]
 pub struct World {
     /// What was loaded and edited.
-    pub scene: Scene,
+    pub scene: Arc<Scene>,
     pub(crate) options: WorldOptions,
     pub(crate) resolution: Resolution,
     /// In the order of `scene.objects`.
@@ -218,17 +223,17 @@ impl World {
     }
 
     /// Sample points per slot, scene space: add [`Scene::origin`] for world space.
-    pub fn positions(&self) -> &[Vec3] {
+    pub fn positions(&self) -> &Chunks<Vec3> {
         &self.space.slots().positions
     }
 
     /// Unit normals per slot.
-    pub fn normals(&self) -> &[Vec3] {
+    pub fn normals(&self) -> &Chunks<Vec3> {
         &self.space.slots().normals
     }
 
     /// m² per slot; 0 in holes.
-    pub fn areas(&self) -> &[f32] {
+    pub fn areas(&self) -> &Chunks<f32> {
         &self.space.slots().areas
     }
 

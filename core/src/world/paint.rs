@@ -7,7 +7,7 @@ use glam::Vec3;
 use super::apply::Draft;
 use super::check::{error, invalid};
 use crate::edit::{EditError, EditErrorKind};
-use crate::scene::{Look, Mesh};
+use crate::scene::{Look, Mesh, Object};
 use crate::space::Albedo;
 
 impl Draft {
@@ -47,7 +47,7 @@ impl Draft {
 
     /// Those materials of an object that `is_painted` says yes to.
     fn paint(&mut self, index: usize, is_painted: impl Fn(usize) -> bool, albedo: Vec3) -> Result<(), EditError> {
-        let materials = self.world.scene.objects[index].materials.iter_mut().enumerate();
+        let materials = self.object_mut(index).materials.iter_mut().enumerate();
         materials.filter(|(k, _)| is_painted(*k)).for_each(|(_, material)| material.albedo = albedo);
         let parts = self.world.space.parts_of(&self.world.placed[index].placement);
         if parts.iter().any(|part| part.albedos.is_some()) {
@@ -69,7 +69,7 @@ impl Draft {
 
     /// Takes the pictures off an object: to its light it is another one in the same place.
     fn paint_over(&mut self, index: usize, is_painted: impl Fn(usize) -> bool) -> Result<(), EditError> {
-        let mut object = self.world.scene.objects[index].clone();
+        let mut object = Object::clone(&self.world.scene.objects[index]);
         for (_, look) in object.looks.iter_mut().enumerate().filter(|(k, _)| is_painted(*k)) {
             // What goes through stays as it was.
             let kept = look.take().filter(|look| look.may_let_light_through());
@@ -81,7 +81,7 @@ impl Draft {
         if !object.mesh.colors.is_empty() {
             object.mesh = Arc::new(without_colors(&object.mesh, is_painted, !object.looks.is_empty()));
         }
-        self.replace_object(index, object)
+        self.replace_object(index, Arc::new(object))
     }
 }
 

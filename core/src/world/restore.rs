@@ -1,5 +1,7 @@
 //! Undo and redo: a scene becomes what it was.
 
+use std::sync::Arc;
+
 use super::apply::Draft;
 use crate::edit::{EditError, Lights, Restore, Restored};
 
@@ -17,9 +19,9 @@ impl Draft {
     fn restore_object(&mut self, restored: &Restored) -> Result<(), EditError> {
         if let Restored::Back(index, object) = restored {
             self.check_free_name(&object.name)?;
-            self.add_object(object.clone())?;
+            self.add_object(Arc::clone(object))?;
             let index = (*index).min(self.world.scene.objects.len() - 1);
-            self.world.scene.objects[index..].rotate_right(1);
+            self.scene_mut().objects[index..].rotate_right(1);
             self.world.placed[index..].rotate_right(1);
             return Ok(());
         }
@@ -28,11 +30,11 @@ impl Draft {
             Restored::Gone(_) => self.remove_object(index),
             Restored::Moved(object) => self.move_object(index, &object.world_from_object)?,
             Restored::Painted(object) if object.looks.is_empty() && object.mesh.colors.is_empty() => {
-                self.world.scene.objects[index].materials.clone_from(&object.materials);
+                self.object_mut(index).materials.clone_from(&object.materials);
                 self.show_materials(index);
             }
             Restored::Back(_, object) | Restored::Painted(object) | Restored::Replaced(object) => {
-                self.replace_object(index, object.clone())?;
+                self.replace_object(index, Arc::clone(object))?;
             }
         }
         Ok(())

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use glam::Vec3;
 
 use super::{Placed, World};
+use crate::chunks::Chunks;
 use crate::scene::Light;
 use crate::space::ray_offset;
 use crate::surface::Surface;
@@ -59,8 +60,8 @@ impl World {
 
     fn has_surface_of(&self, a: &Placed, b: &Placed) -> bool {
         Arc::ptr_eq(&a.surface, &b.surface)
-            || are_close(&a.surface.positions, &b.surface.positions, tolerance(&a.surface))
-                && are_close(&a.surface.normals, &b.surface.normals, SAME_NORMAL)
+            || are_close(a.surface.positions.iter(), b.surface.positions.iter(), tolerance(&a.surface))
+                && are_close(a.surface.normals.iter(), b.surface.normals.iter(), SAME_NORMAL)
                 && a.surface.triangles == b.surface.triangles
                 && a.surface.triangle_materials == b.surface.triangle_materials
     }
@@ -68,9 +69,12 @@ impl World {
     /// Surfaces that are the same may be laid out in another order, after another way to where they are.
     fn has_elements_of(&self, a: &Placed, other: &World, b: &Placed) -> bool {
         let own = a.placement.element_indices();
+        let are_close = |these: &Chunks<Vec3>, those: &Chunks<Vec3>, tolerance: f32| {
+            are_close(these.range(own.clone()), those.range(own.clone()), tolerance)
+        };
         Arc::ptr_eq(&a.layout, &b.layout)
-            || are_close(&self.positions()[own.clone()], &other.positions()[own.clone()], tolerance(&a.surface))
-                && are_close(&self.normals()[own.clone()], &other.normals()[own], SAME_NORMAL)
+            || are_close(self.positions(), other.positions(), tolerance(&a.surface))
+                && are_close(self.normals(), other.normals(), SAME_NORMAL)
     }
 }
 
@@ -84,8 +88,12 @@ fn tolerance(surface: &Surface) -> f32 {
 }
 
 /// Moving there and back rounds twice; rays start off a surface by as much as that.
-fn are_close(a: &[Vec3], b: &[Vec3], tolerance: f32) -> bool {
-    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (*a - *b).abs().max_element() <= tolerance)
+fn are_close<'a>(
+    a: impl ExactSizeIterator<Item = &'a Vec3>,
+    b: impl ExactSizeIterator<Item = &'a Vec3>,
+    tolerance: f32,
+) -> bool {
+    a.len() == b.len() && a.zip(b).all(|(a, b)| (*a - *b).abs().max_element() <= tolerance)
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
+use std::sync::Arc;
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -22,18 +23,49 @@ pub(crate) struct Validity {
     behind: Vec<u32>,
     /// Invalid slots, to be asked one by one.
     is_invalid: Bits,
-    /// Slots to fill, object by object, nearest to valid ones first; each is the mean of sources filled before it.
-    fills: Vec<Fill>,
-    /// The part of `fills` that belongs to an object, by key.
-    of_object: BTreeMap<u32, Range<usize>>,
-    /// Indices of `fills` by target.
+    /// Objects with slots to fill, by their first slots.
+    objects: Vec<Filled>,
+}
+
+/// An object some of whose slots are filled.
+#[derive(Clone, Debug)]
+struct Filled {
+    key: u32,
+    slots: Range<u32>,
+    /// What the next world shares, where the object stays as it is.
+    fills: Arc<Fills>,
+}
+
+#[derive(Debug)]
+struct Fills {
+    /// Nearest to valid ones first; each is the mean of sources filled before it.
+    list: Vec<Fill>,
+    /// Indices of `list` by target.
     by_target: Vec<u32>,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 struct Fill {
     target: u32,
     sources: Vec<u32>,
+}
+
+impl Fills {
+    fn new(list: Vec<Fill>) -> Fills {
+        let mut by_target: Vec<u32> = (0..list.len() as u32).collect();
+        by_target.sort_unstable_by_key(|&f| list[f as usize].target);
+        Fills { list, by_target }
+    }
+
+    fn of(&self, slot: u32) -> Option<&Fill> {
+        let found = self.by_target.binary_search_by_key(&slot, |&f| self.list[f as usize].target).ok()?;
+        Some(&self.list[self.by_target[found] as usize])
+    }
+
+    fn memory_bytes(&self) -> usize {
+        let sources: usize = self.list.iter().map(|fill| fill.sources.capacity()).sum();
+        (sources + self.by_target.capacity()) * size_of::<u32>() + self.list.capacity() * size_of::<Fill>()
+    }
 }
 
 impl Validity {
@@ -57,8 +89,7 @@ impl Validity {
             all
         };
         let kept = |placed: &Placed, invalid: &[u32]| {
-            let range = self.of_object.get(&placed.key)?;
-            (self.invalid_of(&placed.placement.elements) == invalid).then(|| &self.fills[range.clone()])
+            self.fills_of(placed).filter(|_| self.invalid_of(&placed.placement.elements) == invalid)
         };
         Validity::from_invalid(world, behind.to_vec(), all, kept)
     }
@@ -94,19 +125,18 @@ impl Validity {
         };
         let kept = |placed: &Placed, invalid: &[u32]| {
             let slots = &placed.placement.elements;
-            let range = old.of_object.get(&placed.key)?;
-            (!is_new(&slots.start) && old.invalid_of(slots) == invalid).then(|| &old.fills[range.clone()])
+            old.fills_of(placed).filter(|_| !is_new(&slots.start) && old.invalid_of(slots) == invalid)
         };
         let behind = old.behind.iter().copied().filter(|slot| !is_affected(*slot)).collect();
         Validity::from_invalid(world, behind, inside, kept)
     }
 
     /// `inside` tells the invalid slots of an object, ascending, and `kept` its fills where they are known.
-    fn from_invalid<'a>(
+    fn from_invalid(
         world: &World,
         behind: Vec<u32>,
         inside: impl Fn(&Placed) -> Vec<u32> + Sync,
-        kept: impl Fn(&Placed, &[u32]) -> Option<&'a [Fill]> + Sync,
+        kept: impl Fn(&Placed, &[u32]) -> Option<Arc<Fills>> + Sync,
     ) -> Validity {
         let by_object: Vec<Vec<u32>> = world.placed.par_iter().map(|placed| inside(placed)).collect();
         let mut invalid = by_object.concat();
@@ -114,29 +144,38 @@ impl Validity {
         let is_invalid = invalid.iter().map(|&slot| slot as usize).collect();
         let mut validity = Validity { invalid, behind, is_invalid, ..Validity::default() };
         let objects = world.placed.par_iter().zip(&by_object).filter(|(_, invalid)| !invalid.is_empty());
-        let filled: Vec<(u32, Vec<Fill>)> = objects
+        let mut filled: Vec<Filled> = objects
             .map(|(placed, invalid)| {
-                let fills =
-                    kept(placed, invalid).map_or_else(|| fill_object(world, placed, &validity), <[Fill]>::to_vec);
-                (placed.key, fills)
+                let new = || Arc::new(Fills::new(fill_object(world, placed, &validity)));
+                let fills = kept(placed, invalid).unwrap_or_else(new);
+                Filled { key: placed.key, slots: placed.placement.elements.clone(), fills }
             })
             .collect();
-        for (key, fills) in filled {
-            let first = validity.fills.len();
-            validity.fills.extend(fills);
-            validity.of_object.insert(key, first..validity.fills.len());
-        }
-        validity.by_target = (0..validity.fills.len() as u32).collect();
-        validity.by_target.sort_unstable_by_key(|&f| validity.fills[f as usize].target);
+        filled.sort_unstable_by_key(|object| object.slots.start);
+        validity.objects = filled;
         validity
+    }
+
+    /// The fills of an object, where it is in the slots that it had.
+    fn fills_of(&self, placed: &Placed) -> Option<Arc<Fills>> {
+        let slots = &placed.placement.elements;
+        let object = self.object_at(slots.start)?;
+        (object.key == placed.key && object.slots == *slots).then(|| Arc::clone(&object.fills))
+    }
+
+    /// The object that has a slot, where some of its slots are filled.
+    fn object_at(&self, slot: u32) -> Option<&Filled> {
+        let behind = self.objects.partition_point(|object| object.slots.start <= slot);
+        self.objects[..behind].last().filter(|object| object.slots.contains(&slot))
     }
 
     /// Bytes held.
     pub(super) fn memory_bytes(&self) -> usize {
-        let sources: usize = self.fills.iter().map(|fill| fill.sources.capacity()).sum();
-        (self.invalid.capacity() + self.behind.capacity() + self.by_target.capacity() + sources) * size_of::<u32>()
+        let fills: usize = self.objects.iter().map(|object| object.fills.memory_bytes()).sum();
+        (self.invalid.capacity() + self.behind.capacity()) * size_of::<u32>()
             + self.is_invalid.memory_bytes()
-            + self.fills.capacity() * size_of::<Fill>()
+            + self.objects.capacity() * size_of::<Filled>()
+            + fills
     }
 
     /// The invalid ones among some slots, ascending.
@@ -154,8 +193,8 @@ impl Validity {
     /// valid.
     pub(crate) fn stand_in(&self, slot: u32, mut u: f32) -> u32 {
         let mut slot = slot;
-        while let Ok(i) = self.by_target.binary_search_by_key(&slot, |&f| self.fills[f as usize].target) {
-            let sources = &self.fills[self.by_target[i] as usize].sources;
+        while let Some(fill) = self.object_at(slot).and_then(|object| object.fills.of(slot)) {
+            let sources = &fill.sources;
             u *= sources.len() as f32;
             let k = (u as usize).min(sources.len() - 1);
             u -= k as f32;
@@ -166,7 +205,7 @@ impl Validity {
 
     /// Gives invalid slots the values of their neighbours.
     pub(crate) fn fill<V: Value>(&self, values: &mut [V]) {
-        for fill in &self.fills {
+        for fill in self.objects.iter().flat_map(|object| &object.fills.list) {
             let sum: V = fill.sources.iter().map(|&s| values[s as usize]).sum();
             values[fill.target as usize] = sum / fill.sources.len() as f32;
         }
@@ -174,7 +213,7 @@ impl Validity {
 
     /// Gives invalid slots the means of their neighbours' scalars, of which every slot has `per_slot` side by side.
     pub(crate) fn fill_scalars(&self, values: &mut [f32], per_slot: usize) {
-        for fill in &self.fills {
+        for fill in self.objects.iter().flat_map(|object| &object.fills.list) {
             for k in 0..per_slot {
                 let sum: f32 = fill.sources.iter().map(|&s| values[s as usize * per_slot + k]).sum();
                 values[fill.target as usize * per_slot + k] = sum / fill.sources.len() as f32;

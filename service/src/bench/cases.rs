@@ -166,7 +166,7 @@ impl PreparedCase {
         for object in world.objects() {
             let first = object.first_element as usize;
             let area: f64 =
-                world.areas()[first..first + object.element_count as usize].iter().copied().map(f64::from).sum();
+                world.areas().range(first..first + object.element_count as usize).copied().map(f64::from).sum();
             all += area;
             part += if edited(object.name) { area } else { 0.0 };
         }

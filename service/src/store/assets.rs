@@ -233,7 +233,7 @@ mod tests {
     use super::*;
 
     fn nothing() -> Scene {
-        crate::engine::empty_world(1.0).scene
+        Scene::from_objects(Vec::new())
     }
 
     #[test]

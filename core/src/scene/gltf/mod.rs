@@ -169,7 +169,7 @@ fn load_document(bytes: &[u8], files: &Files<'_>, limits: &LoadLimits) -> Result
     }
     Ok(Scene {
         origin: choose_origin(bounds),
-        objects: objects.into_iter().map(|loaded| loaded.object).collect(),
+        objects: objects.into_iter().map(|loaded| Arc::new(loaded.object)).collect(),
         lights,
         groups: std::collections::BTreeMap::new(),
         light_parents: parents,

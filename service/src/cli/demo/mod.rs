@@ -42,7 +42,8 @@ const WIDTHS: [usize; 9] = [12, 8, 7, 11, 7, 12, 16, 12, 7];
 /// The room with its chair, and its spacing: what `rebake bench` measures without a file.
 pub(super) fn bench_scene() -> (rebake_core::scene::Scene, f32) {
     let mut scene = room::room();
-    scene.objects.extend(room::chair().objects.into_iter().map(|chair| chair.placed(room::chair_place())));
+    let chair = room::chair().objects.into_iter().map(Arc::unwrap_or_clone);
+    scene.objects.extend(chair.map(|part| Arc::new(part.placed(room::chair_place()))));
     (scene, room::SPACING)
 }
 
