@@ -135,6 +135,10 @@ pub struct Timeouts {
     pub restore: Duration,
     /// For a place among the uploads.
     pub upload_slot: Duration,
+    /// For an uploaded scene to be prepared before the upload is answered without it.
+    pub upload_answer: Duration,
+    /// For a scene to be prepared, of a request that comes before it is.
+    pub preparing: Duration,
     /// Between two comments on a silent event stream.
     pub keep_alive: Duration,
     /// From the shutdown signal to the end of the last connection.
@@ -224,6 +228,8 @@ impl Default for Timeouts {
             drain: Duration::from_secs(10),
             restore: Duration::from_secs(10),
             upload_slot: Duration::from_secs(60),
+            upload_answer: Duration::from_millis(500),
+            preparing: Duration::from_secs(60),
             keep_alive: Duration::from_secs(15),
             shutdown: Duration::from_secs(10),
             write: Duration::from_secs(60),

@@ -12,12 +12,13 @@ pub(crate) use rebake_core::layers::{Layer, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER
 use rebake_core::scene::{self, DEFAULT_MAX_ALBEDO, LoadLimits, NodeSource};
 pub use rebake_core::scene::{LoadError, Scene};
 pub(crate) use rebake_core::scene::{Outside, SkyPicture};
+pub use rebake_core::surface::Density;
 pub use rebake_core::surface::SurfaceError;
 pub use rebake_core::{
     Budget, Canceled, DragBasis, Edit, EditError, EditErrorKind, Focus, Importance, LightMap, Observer, Pass, Progress,
     Relight, Snapshot, TileMode, Tiles,
 };
-pub use rebake_core::{Stated, Transition, World, WorldError};
+pub use rebake_core::{Stated, Transition, World, WorldError, WorldOptions};
 
 use crate::config::Limits;
 
@@ -26,6 +27,11 @@ pub(crate) const VALUE_BYTES: usize = 2 * size_of::<Vec3>() + size_of::<f32>();
 
 /// What computes light for a job, called on the threads of a job slot. The defaults are the real thing.
 pub trait Engine: Send + Sync + Debug {
+    /// Lays out elements and builds trees: seconds for large scenes. On a thread for builds.
+    fn build(&self, scene: Scene, options: &WorldOptions) -> Result<World, WorldError> {
+        World::new(scene, options)
+    }
+
     /// From scratch.
     fn bake(
         &self,
@@ -136,34 +142,34 @@ pub(crate) fn mean_light(world: &World, map: &LightMap) -> f64 {
     world.area_mean(0..world.slots(), |slot| f64::from(map.total(slot).element_sum()) / 3.0)
 }
 
-/// Lays out elements and builds trees: seconds for large scenes.
-pub(crate) fn build(
-    scene: Scene,
-    spacing: Option<f32>,
+/// How a scene that is uploaded is laid out.
+pub(crate) fn world_options(
+    density: Density,
     stated: Stated,
     max_albedo: Option<f32>,
     limits: &Limits,
-) -> Result<World, WorldError> {
-    let options = rebake_core::WorldOptions {
-        spacing,
+) -> WorldOptions {
+    WorldOptions {
+        spacing: Some(density.spacing),
+        object_squares: Some(density.object_squares),
         max_elements: limits.elements,
         max_triangles: limits.subdivided_triangles,
         stated,
         max_albedo: max_albedo.unwrap_or(DEFAULT_MAX_ALBEDO),
-    };
-    World::new(scene, &options)
+    }
 }
 
-/// As [`build`], of a scene that was accepted at some time: its edits are to be applied again, whatever the limits are
-/// now. [`limited`] ends that.
+/// Lays out a scene that was accepted at some time: its edits are to be applied again, whatever the limits are now.
+/// [`limited`] ends that.
 pub(crate) fn build_again(
     scene: Scene,
-    spacing: f32,
+    density: Density,
     stated: Stated,
     max_albedo: Option<f32>,
 ) -> Result<World, WorldError> {
-    let options = rebake_core::WorldOptions {
-        spacing: Some(spacing),
+    let options = WorldOptions {
+        spacing: Some(density.spacing),
+        object_squares: Some(density.object_squares),
         // Slots are numbers of 32 bits.
         max_elements: u32::MAX as usize,
         max_triangles: usize::MAX,
@@ -183,9 +189,15 @@ pub(crate) fn limited(world: World, limits: &Limits) -> World {
 pub(crate) fn empty_world(spacing: f32) -> World {
     let spacing = if spacing.is_finite() && spacing > 0.0 { spacing } else { 1.0 };
     let scene = Scene::from_objects(Vec::new());
-    let options = rebake_core::WorldOptions { spacing: Some(spacing), ..rebake_core::WorldOptions::default() };
+    let options = WorldOptions { spacing: Some(spacing), ..WorldOptions::default() };
     // Nothing can be too large or malformed.
     World::new(scene, &options).expect("an empty scene can be built")
+}
+
+/// A world that tells these warnings.
+pub(crate) fn warned(mut world: World, warnings: &[String]) -> World {
+    Arc::make_mut(&mut world.scene).warnings = warnings.to_vec();
+    world
 }
 
 /// The old map with the slots of the new world.

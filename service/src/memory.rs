@@ -4,34 +4,33 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use rebake_core::edit::Cost;
 use rebake_core::scene::Object;
-use rebake_core::surface::{DEFAULT_ELEMENTS, default_spacing, object_area};
+use rebake_core::surface::object_area;
 
-use crate::engine::{Edit, Scene};
+use crate::engine::{Density, Edit, Scene};
 use crate::state::App;
 use crate::store::layers::LAYER_BYTES;
 use crate::store::scenes::SceneEntry;
 
-/// Elements per square of one spacing: it is the diagonals that must not exceed the spacing, so there are two to three.
-const ELEMENTS_PER_SQUARE: f64 = 3.0;
 /// Bytes of an element with its two triangles: geometry, trees, the light map and what is kept beside it.
 const BYTES_PER_ELEMENT: f64 = 600.0;
 /// Where the machine does not tell.
 const UNKNOWN_MACHINE: u64 = 8 << 30;
 
 /// Bytes that a scene will take, from its area and its vertices. Rather too much than too little.
-pub(crate) fn estimate(scene: &Scene, spacing: Option<f32>) -> u64 {
-    let area: f64 = scene.objects.iter().map(|object| object_area(object)).sum();
-    estimate_bytes(vertices(scene), area, spacing.unwrap_or_else(|| default_spacing(area, DEFAULT_ELEMENTS)))
+pub(crate) fn estimate(scene: &Scene, density: Density) -> u64 {
+    let areas = scene.objects.iter().map(|object| object_area(object));
+    to_bytes(density.elements(areas, vertices(scene)))
 }
 
 /// Bytes that what `edits` insert will take, at the size at which it is inserted.
-pub(crate) fn estimate_inserts(edits: &[Edit], spacing: f32) -> u64 {
+pub(crate) fn estimate_inserts(edits: &[Edit], density: Density) -> u64 {
     let bytes = |edit: &Edit| {
         let Cost::Elements { asset, transform } = edit.cost() else { return 0 };
         let placed =
             |object: &Object| Object { world_from_object: *transform * object.world_from_object, ..object.clone() };
-        let area = asset.objects.iter().map(|object| object_area(&placed(object))).sum();
-        estimate_bytes(vertices(asset), area, spacing)
+        // They become one object.
+        let area: f64 = asset.objects.iter().map(|object| object_area(&placed(object))).sum();
+        to_bytes(density.elements(std::iter::once(area), vertices(asset)))
     };
     edits.iter().map(bytes).fold(0, u64::saturating_add)
 }
@@ -64,8 +63,7 @@ fn vertices(scene: &Scene) -> usize {
     scene.objects.iter().map(|object| object.mesh.positions.len().max(object.mesh.triangles.len())).sum()
 }
 
-fn estimate_bytes(vertices: usize, area: f64, spacing: f32) -> u64 {
-    let elements = vertices as f64 + ELEMENTS_PER_SQUARE * area / f64::from(spacing).powi(2);
+fn to_bytes(elements: f64) -> u64 {
     // `as` saturates: what is beyond all bounds does not fit.
     (elements * BYTES_PER_ELEMENT) as u64
 }

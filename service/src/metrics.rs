@@ -197,7 +197,7 @@ impl App {
             registry,
             "scenes_damaged",
             "Scenes that cannot be served",
-            scenes.iter().filter(|s| s.is_damaged).count() as u64,
+            scenes.iter().filter(|s| s.is_damaged()).count() as u64,
         );
         gauge(registry, "memory_limit_bytes", "Memory that scenes may take", self.config.limits.memory_bytes);
     }

@@ -22,7 +22,7 @@ use crate::store::disk::{Disk, Saved, SavedEdit, SavedScene};
 use crate::store::history::{self, History, Turn};
 use crate::store::lighting::{Lighting, Sequence, Unlit, unknown_of_saved};
 use crate::store::records::{JobRecord, LightRecord, SceneRecord, StoredOutside};
-use crate::store::scenes::{Head, IdempotencyKeys, NewScene, SceneEntry};
+use crate::store::scenes::{Head, IdempotencyKeys, NewScene, SceneEntry, SceneState};
 use crate::store::versions::{Published, RESERVE};
 
 /// Takes in all that was saved, and starts the jobs that were open.
@@ -50,7 +50,7 @@ pub(crate) fn restore(app: &Arc<App>, disk: &Disk, saved: Saved) {
         }
     }
     unbaked.iter().for_each(|scene| bake_again(app, scene));
-    for scene in app.scenes.all().iter().filter(|scene| !scene.is_damaged) {
+    for scene in app.scenes.all().iter().filter(|scene| !scene.is_damaged()) {
         let accepted = scene.head.blocking_lock().sequence;
         app.settle(scene, accepted);
     }
@@ -149,7 +149,7 @@ fn build(app: &App, glb: &[u8], record: &SceneRecord) -> Result<World, StoreErro
     let outside = skies::outside(record.environment, &record.outside, &app.assets);
     outside.map_err(|problem| unreadable(&problem))?.add_to(&mut scene);
     scene.groups = record.groups.clone();
-    engine::build_again(scene, record.spacing, record.mode.stated(), record.max_albedo)
+    engine::build_again(scene, record.density(), record.mode.stated(), record.max_albedo)
         .map_err(|error| unreadable(&error))
 }
 
@@ -248,6 +248,7 @@ fn damaged(app: &App, saved: &SavedScene, error: &StoreError) -> SceneEntry {
         name: "?".to_owned(),
         mode: Mode::Full,
         spacing: 1.0,
+        object_squares: None,
         environment: None,
         outside: StoredOutside::default(),
         max_albedo: None,
@@ -260,7 +261,7 @@ fn damaged(app: &App, saved: &SavedScene, error: &StoreError) -> SceneEntry {
     let (keys, history) = (IdempotencyKeys::new(1), History::new(0));
     let head = Head { world: world.clone(), sequence: 0, jobs: 0, keys, history };
     let mut new = describe(app, saved, record, u64::MAX, Some(error.reason.to_owned()));
-    new.is_damaged = true;
+    new.state = SceneState::Damaged;
     SceneEntry::with(new, head, Lighting::new(), Published::lost(world, mode, saved.reserved), &app.config.limits)
 }
 
@@ -275,7 +276,7 @@ fn describe(app: &App, saved: &SavedScene, record: SceneRecord, reserved: u64, e
         first_event: app.first_event,
         reserved,
         error,
-        is_damaged: false,
+        state: SceneState::Ready,
     }
 }
 
@@ -286,7 +287,7 @@ fn restore_job(app: &App, mut record: JobRecord) {
     if !job.state.has_ended() {
         let outcome = match &scene {
             None => Some(Outcome::Canceled),
-            Some(scene) if scene.is_damaged => Some(Outcome::Failed("the scene is damaged".to_owned())),
+            Some(scene) if scene.is_damaged() => Some(Outcome::Failed("the scene is damaged".to_owned())),
             Some(_) if job.cancel_requested => Some(Outcome::Canceled),
             Some(_) => None,
         };
@@ -352,6 +353,7 @@ mod tests {
                 name: "a".to_owned(),
                 mode: Mode::Full,
                 spacing: 0.5,
+                object_squares: None,
                 environment: None,
                 outside: StoredOutside::default(),
                 groups: BTreeMap::new(),
@@ -393,10 +395,10 @@ mod tests {
             let app = restored(break_it);
             for number in [1, 3] {
                 let scene = app.scenes.get(number).unwrap();
-                assert!(scene.error().is_none() && !scene.is_damaged, "{break_it}: {number}");
+                assert!(scene.error().is_none() && !scene.is_damaged(), "{break_it}: {number}");
                 assert!(scene.published().world.element_count() > 0, "{break_it}: {number}");
             }
-            let found = app.scenes.get(2).map(|scene| (scene.error().is_some(), scene.is_damaged));
+            let found = app.scenes.get(2).map(|scene| (scene.error().is_some(), scene.is_damaged()));
             // A bake that is queued anew may have ended by now, and with it the error.
             let is_baked = expected == told && found == whole;
             assert!(found == expected || is_baked, "{break_it}: {found:?}");

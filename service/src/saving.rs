@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 use crate::jobs::queue::JobNumber;
 use crate::state::App;
 use crate::store::StoreError;
-use crate::store::scenes::SceneEntry;
+use crate::store::scenes::{SceneEntry, SceneState};
 use crate::store::versions::RESERVE;
 
 impl App {
@@ -51,7 +51,7 @@ impl App {
         if !self.store.is_durable() {
             return;
         }
-        for scene in self.scenes.all().iter().filter(|scene| !scene.is_damaged) {
+        for scene in self.scenes.all().iter().filter(|scene| scene.state() == SceneState::Ready) {
             let light = scene.light_record();
             let version = light.about.version;
             let saved = self.store.light_saved(scene.number, &light);

@@ -26,6 +26,7 @@ mod load;
 mod moves;
 mod openapi;
 mod parts;
+mod preparing;
 mod process;
 mod render;
 mod sample;

@@ -87,6 +87,8 @@ impl Server {
 
     pub(crate) async fn with(change: impl FnOnce(&mut Config)) -> Server {
         let mut config = Config { threads: 2, ..Config::default() };
+        // However busy the machine is: uploads are answered with their scenes.
+        config.timeouts.upload_answer = Duration::from_secs(600);
         change(&mut config);
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let base = format!("http://{}", listener.local_addr().unwrap());

@@ -81,7 +81,12 @@ function leave(): void {
 
 async function open(id: string): Promise<void> {
   leave();
-  scene = await api.scene(id);
+  let found = await api.scene(id);
+  for (; found.state === 'preparing'; found = await api.scene(id)) {
+    say('Laying out its elements …');
+    await new Promise((done) => setTimeout(done, 250));
+  }
+  scene = found;
   location.hash = id;
   $<HTMLSelectElement>('scenes').value = id;
   $('welcome').hidden = true;

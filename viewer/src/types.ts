@@ -56,6 +56,7 @@ export interface Camera {
 export interface Scene {
   id: string;
   name: string;
+  state: 'preparing' | 'ready' | 'damaged';
   mode: 'full' | 'indirect';
   version: number;
   elements_version: number;

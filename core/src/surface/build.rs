@@ -1,16 +1,12 @@
 //! From objects to surfaces.
 
 use glam::{DMat4, DVec3, Vec3};
-use rayon::prelude::*;
 
 use super::topology::closed_volume;
 use super::weld::{MIN_COSINE, geometric_normal, weld};
 use super::{Surface, SurfaceError};
 use crate::order::{along_curve, in_order};
-use crate::scene::{Object, Scene};
-
-/// Squares of side `spacing` that [`default_spacing`] aims at for a whole scene.
-pub const DEFAULT_ELEMENTS: usize = 22_000;
+use crate::scene::Object;
 
 impl Surface {
     /// Brings an object's triangles to scene space.
@@ -109,13 +105,6 @@ pub fn object_area(object: &Object) -> f64 {
         (corner(b) - a).cross(corner(c) - a).length() * 0.5
     };
     object.mesh.triangles.iter().map(area).sum()
-}
-
-/// The spacing in metres of a scene where none is asked for.
-pub fn spacing_of(scene: &Scene) -> f32 {
-    // Added up in order: the same on any number of threads.
-    let areas: Vec<f64> = scene.objects.par_iter().map(|object| object_area(object)).collect();
-    default_spacing(areas.iter().sum(), DEFAULT_ELEMENTS)
 }
 
 /// The spacing in metres at which `total_area` (m²) has about `elements` squares of that side, rounded to two digits.

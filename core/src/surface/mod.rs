@@ -3,6 +3,7 @@
 
 mod build;
 mod corners;
+mod density;
 mod place;
 mod see_through;
 #[cfg(test)]
@@ -10,7 +11,8 @@ mod tests;
 mod topology;
 mod weld;
 
-pub use self::build::{DEFAULT_ELEMENTS, default_spacing, object_area, spacing_of};
+pub use self::build::{default_spacing, object_area};
+pub use self::density::{DEFAULT_SQUARES, Density};
 
 pub(crate) use self::build::{barycentrics, triangle_area};
 pub(crate) use self::corners::Corners;

@@ -12,19 +12,21 @@ use super::{Coarse, Emitters, Placed, Resolution, Trees, Validity, World, WorldE
 use crate::bvh::{BuildQuality, Bvh};
 use crate::scene::{Object, Scene};
 use crate::space::{Albedo, Albedos, Elements, Layout, Space};
-use crate::surface::{self, SeeThrough, Surface};
+use crate::surface::{Density, SeeThrough, Surface, object_area};
 
 /// Edge of the cells that smooth light is evaluated in, in units of [`Resolution::smooth`].
 pub(crate) const COARSE_RADIUS: f32 = 2.5;
 
-pub(super) fn build(scene: Scene, options: &WorldOptions) -> Result<World, WorldError> {
-    let default = surface::spacing_of(&scene);
-    let spacing = spacing_of(options, default)?;
+pub(super) fn build(mut scene: Scene, options: &WorldOptions) -> Result<World, WorldError> {
+    let chosen = Density::chosen(&scene);
+    let density = density_of(options, chosen)?;
+    let spacing = density.spacing;
     if !(0.0..=1.0).contains(&options.max_albedo) {
         return Err(WorldError::MaxAlbedo(options.max_albedo));
     }
     // Meshes may be finer than a spacing that is given, and light then shows details that large cells would blur.
-    let resolution = Resolution { spacing, smooth: spacing.min(default) };
+    warn_where_coarse(&mut scene, density);
+    let resolution = Resolution { density, smooth: spacing.min(chosen.spacing) };
     let ready: Vec<Ready> =
         scene.objects.par_iter().map(|o| Ready::new(&scene, o, resolution, options)).collect::<Result<_, _>>()?;
     check_size(ready.iter().map(|r| &*r.layout), spacing, options)?;
@@ -58,11 +60,31 @@ pub(super) fn build(scene: Scene, options: &WorldOptions) -> Result<World, World
     Ok(world)
 }
 
-fn spacing_of(options: &WorldOptions, default: f32) -> Result<f32, WorldError> {
-    match options.spacing {
-        Some(s) if s.is_finite() && s > 0.0 => Ok(s),
-        Some(s) => Err(WorldError::Spacing(s)),
-        None => Ok(default),
+fn density_of(options: &WorldOptions, chosen: Density) -> Result<Density, WorldError> {
+    let density = match options.spacing {
+        None => chosen,
+        Some(spacing) => Density::even(spacing),
+    };
+    let density = Density { object_squares: options.object_squares.unwrap_or(density.object_squares), ..density };
+    let Density { spacing, object_squares } = density;
+    match spacing.is_finite() && spacing > 0.0 {
+        true if object_squares > 0.0 => Ok(density),
+        true => Err(WorldError::ObjectSquares(object_squares)),
+        false => Err(WorldError::Spacing(spacing)),
+    }
+}
+
+/// Says on which objects elements lie farther apart than elsewhere.
+fn warn_where_coarse(scene: &mut Scene, density: Density) {
+    let coarse = |object: &Arc<Object>| {
+        let spacing = density.of_object(object_area(object));
+        (spacing > density.spacing).then(|| format!("{:?} ({spacing:.2} m)", object.name))
+    };
+    let coarse: Vec<String> = scene.objects.iter().filter_map(coarse).collect();
+    if !coarse.is_empty() {
+        let spacing = density.spacing;
+        let list = coarse.join(", ");
+        scene.warnings.push(format!("objects that are large have elements farther apart than {spacing} m: {list}"));
     }
 }
 
@@ -93,7 +115,9 @@ impl Ready {
         let to_scene = scene_from_object(scene, object);
         let surface = Surface::build(object, to_scene).map_err(error)?;
         let see_through = SeeThrough::of(object, &surface, to_scene);
-        let (layout, elements) = Layout::new(&surface, resolution.spacing, options.max_elements).map_err(error)?;
+        let (layout, elements) =
+            Layout::new(&surface, resolution.density.of_object(object_area(object)), options.max_elements)
+                .map_err(error)?;
         let Elements { positions, normals, areas } = &elements;
         let albedos = Albedos::new(object, &surface, &layout, areas, options.max_albedo);
         let coarse = Coarse::new(positions, normals, areas, COARSE_RADIUS * resolution.smooth);
@@ -217,5 +241,38 @@ impl EmissiveTriangle {
         let cross = (b - a).cross(c - a);
         let length = cross.length();
         (length > 0.0).then(|| EmissiveTriangle { face, corners, normal: cross / length, area: 0.5 * length })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::edit::Edit;
+    use crate::scene::{Material, Mesh};
+
+    #[test]
+    fn what_stands_on_a_ground_has_elements_of_its_own_spacing() {
+        let grey = || Material::diffuse(Vec3::splat(0.5));
+        let ground = Mesh::quad(Vec3::new(-500.0, 0.0, -500.0), Vec3::Z * 1000.0, Vec3::X * 1000.0);
+        let house = Mesh::cuboid(Vec3::new(0.0, 0.01, 0.0), Vec3::new(5.0, 3.0, 4.0));
+        let objects = vec![Object::new("ground", ground, grey()), Object::new("house", house, grey())];
+        let world = World::new(Scene::from_objects(objects), &WorldOptions::default()).unwrap();
+        assert!(world.spacing() < 0.2, "{}", world.spacing());
+        let elements = |world: &World, name: &str| -> usize {
+            world.objects().find(|object| object.name == name).map_or(0, |object| object.element_count as usize)
+        };
+        let of_ground = elements(&world, "ground");
+        assert!((40_000..80_000).contains(&of_ground), "{of_ground}");
+        assert!((10_000..20_000).contains(&elements(&world, "house")), "{}", elements(&world, "house"));
+        assert!(
+            world.scene.warnings.iter().any(|warning| warning.contains("\"ground\" (6.15 m)")),
+            "{:?}",
+            world.scene.warnings
+        );
+        // It is laid out alike whenever it comes back.
+        let hidden = world.apply(&[Edit::Hide { objects: vec!["ground".into()] }]).unwrap().after;
+        assert_eq!(elements(&hidden, "ground"), 0);
+        let shown = hidden.apply(&[Edit::Show { objects: vec!["ground".into()] }]).unwrap().after;
+        assert_eq!(elements(&shown, "ground"), of_ground);
     }
 }

@@ -46,13 +46,16 @@ use rayon::prelude::*;
 use crate::chunks::Chunks;
 use crate::scene::{DEFAULT_MAX_ALBEDO, Scene};
 use crate::space::{Layout, Placement, Space};
-use crate::surface::{SeeThrough, Surface, SurfaceError};
+use crate::surface::{Density, SeeThrough, Surface, SurfaceError};
 
 /// Limits and resolution of a world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WorldOptions {
     /// Largest distance between neighbouring elements, metres; chosen from the scene's size where absent.
     pub spacing: Option<f32>,
+    /// Most squares of its spacing that one object has ([`Density`]). Where absent it is chosen with the spacing, and there
+    /// is no such bound on one that is given.
+    pub object_squares: Option<f64>,
     /// More element slots than this are refused.
     pub max_elements: usize,
     /// More triangles between elements than this are refused.
@@ -89,6 +92,7 @@ impl Default for WorldOptions {
     fn default() -> Self {
         WorldOptions {
             spacing: None,
+            object_squares: None,
             max_elements: 20_000_000,
             max_triangles: 40_000_000,
             stated: Stated::Full,
@@ -103,6 +107,9 @@ pub enum WorldError {
     /// `spacing` is not a finite positive number.
     #[error("spacing: must be a finite number above 0, not {0}")]
     Spacing(f32),
+    /// The squares that an object may have are none.
+    #[error("object_squares: must be a number above 0, not {0}")]
+    ObjectSquares(f64),
     /// `max_albedo` is no number from 0 to 1.
     #[error("max_albedo: must be a number from 0 to 1, not {0}")]
     MaxAlbedo(f32),
@@ -159,8 +166,8 @@ impl Placed {
 /// How far what is computed lies apart, metres.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Resolution {
-    /// Elements, at most.
-    pub spacing: f32,
+    /// Elements.
+    pub density: Density,
     /// What smooth light is measured by: the spacing, or that of a scene of this size by default where it is finer.
     pub smooth: f32,
 }
@@ -189,9 +196,14 @@ impl World {
         build::build(scene, options)
     }
 
-    /// Largest distance between neighbouring elements, metres.
+    /// How far neighbouring elements lie apart.
+    pub fn density(&self) -> Density {
+        self.resolution.density
+    }
+
+    /// Largest distance between neighbouring elements, metres; on objects that are too large for it, more.
     pub fn spacing(&self) -> f32 {
-        self.resolution.spacing
+        self.resolution.density.spacing
     }
 
     /// This world with other limits, for edits from here on. What is there stays and may be edited: they are never less

@@ -16,7 +16,7 @@ impl World {
     /// not count.
     pub fn is_lit_like(&self, other: &World) -> bool {
         self.scene.origin == other.scene.origin
-            && self.spacing() == other.spacing()
+            && self.density() == other.density()
             && self.element_count() == other.element_count()
             && self.has_lights_of(other)
             && self.has_objects_of(other)

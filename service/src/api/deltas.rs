@@ -73,7 +73,7 @@ pub(super) async fn get(
     ApiQuery(query): ApiQuery<DeltaQuery>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
-    let scene = find_scene(&app, &id)?;
+    let scene = find_scene(&app, &id).await?;
     let follow = query.follow.unwrap_or(false);
     let published = scene.published();
     let version = published.version;

@@ -71,7 +71,7 @@ pub(super) async fn create(
     body: Body,
 ) -> ApiResult<Response> {
     require_serving(&app)?;
-    let scene = find_scene(&app, &id)?;
+    let scene = find_scene(&app, &id).await?;
     require_content_type(&headers, &["application/json"])?;
     let key = idempotency_key(&headers)?;
     let if_match = ETags::from_header(&headers, &header::IF_MATCH)?;
@@ -162,7 +162,7 @@ fn accept(
         let text = "too many edits of this scene are not lit yet";
         return Err(Problem::new(Kind::QueueFull, text).retry_after(1));
     }
-    let room = app.promise_memory(memory::estimate_inserts(&edits, head.world.spacing()), scene.accepted_bytes());
+    let room = app.promise_memory(memory::estimate_inserts(&edits, head.world.density()), scene.accepted_bytes());
     let _promise = room.map_err(|full| memory_problem("edited scene", full))?;
     let transition = match edits.is_empty() {
         true => None,

@@ -29,7 +29,7 @@ pub(super) static VERSION: HeaderName = HeaderName::from_static("x-rebake-versio
     )
 )]
 pub(super) async fn get(State(app): Shared, ApiPath(id): ApiPath<String>, headers: HeaderMap) -> ApiResult<Response> {
-    let published = find_scene(&app, &id)?.published();
+    let published = find_scene(&app, &id).await?.published();
     let tag = published.elements_version.to_string();
     let known = ETags::from_header(&headers, &header::IF_NONE_MATCH)?;
     let about = [

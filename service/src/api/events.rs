@@ -18,7 +18,7 @@ use tokio::sync::{OwnedSemaphorePermit, watch};
 use super::extract::{ApiPath, text_header};
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::to_event_data;
-use super::{Shared, find_scene, jobs, scenes};
+use super::{Shared, find_any_scene, find_scene, jobs, scenes};
 use crate::events::{Event, EventLog};
 use crate::state::{App, Phase};
 
@@ -67,7 +67,10 @@ pub(super) async fn of_scene(
     ApiPath(id): ApiPath<String>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
-    let scene = find_scene(&app, &id)?;
+    let scene = find_any_scene(&app, &id)?;
+    if scene.is_damaged() {
+        find_scene(&app, &id).await?;
+    }
     let (its_app, log) = (app.clone(), scene.events.clone());
     let state = move |_| to_event_data(&scenes::summary(&its_app, &scene));
     serve(&app, log, &headers, "scene_state", Box::new(state))

@@ -66,7 +66,7 @@ pub(super) async fn list(
     ApiPath(id): ApiPath<String>,
     ApiQuery(query): ApiQuery<ListQuery>,
 ) -> ApiResult<Json<HistoryPage>> {
-    let scene = find_scene(&app, &id)?;
+    let scene = find_scene(&app, &id).await?;
     let page = Onward::new(&app.config, query.limit, query.cursor.as_deref())?;
     let head = scene.head.lock().await;
     let (found, next_cursor) = page.cut(head.history.after(page.after, page.limit + 1), |(sequence, _)| *sequence);

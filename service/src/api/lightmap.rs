@@ -90,7 +90,7 @@ pub(super) async fn get(
     ApiQuery(query): ApiQuery<LightmapQuery>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
-    let scene = find_scene(&app, &id)?;
+    let scene = find_scene(&app, &id).await?;
     let published = scene.published();
     let known = ETags::from_header(&headers, &header::IF_NONE_MATCH)?;
     let version = published.version.to_string();

@@ -21,6 +21,7 @@ mod lightmap;
 mod openapi;
 mod paging;
 mod painter;
+mod prepare;
 pub mod problem;
 mod render;
 mod sample;
@@ -109,11 +110,18 @@ fn cors(origins: &[String]) -> CorsLayer {
         .max_age(Duration::from_secs(3600))
 }
 
-/// A scene that can be worked with, by its id.
-fn find_scene(app: &App, id: &str) -> ApiResult<Arc<SceneEntry>> {
+/// A scene that can be worked with, by its id. One that is being prepared is waited for.
+async fn find_scene(app: &App, id: &str) -> ApiResult<Arc<SceneEntry>> {
     let scene = find_any_scene(app, id)?;
+    if tokio::time::timeout(app.config.timeouts.preparing, scene.prepared()).await.is_err() {
+        let reason = "the scene is being prepared: its elements are laid out and its trees are built";
+        return Err(Problem::new(Kind::ScenePreparing, reason).retry_after(5));
+    }
+    if scene.is_deleted() {
+        return find_any_scene(app, id);
+    }
     match scene.error() {
-        Some(error) if scene.is_damaged => Err(Problem::new(Kind::SceneDamaged, error)),
+        Some(error) if scene.is_damaged() => Err(Problem::new(Kind::SceneDamaged, error)),
         _ => Ok(scene),
     }
 }

@@ -164,8 +164,9 @@ kinds! {
     QueueFull "queue-full" TOO_MANY_REQUESTS "Queue full" "Too many jobs wait already.";
     TooManyUploads "too-many-uploads" TOO_MANY_REQUESTS "Too many uploads" "Too many uploads are under way.";
     TooManyStreams "too-many-streams" TOO_MANY_REQUESTS "Too many streams" "Too many event and delta streams are open.";
-    SceneDamaged "scene-damaged" INTERNAL_SERVER_ERROR "Scene damaged" "What was kept of the scene cannot be read any more. It can be looked at and deleted.";
+    SceneDamaged "scene-damaged" INTERNAL_SERVER_ERROR "Scene damaged" "The scene cannot be built, or what was kept of it cannot be read any more. It can be looked at and deleted.";
     Internal "internal" INTERNAL_SERVER_ERROR "Internal error" "The service failed. Nothing that was acknowledged is lost.";
+    ScenePreparing "scene-preparing" SERVICE_UNAVAILABLE "Scene preparing" "The scene was uploaded just now, and its elements are still being laid out.";
     Restoring "restoring" SERVICE_UNAVAILABLE "Restoring" "The service is bringing back what its data directory holds.";
     ShuttingDown "shutting-down" SERVICE_UNAVAILABLE "Shutting down" "The service is about to end and takes no new work.";
     Storage "storage" SERVICE_UNAVAILABLE "Storage failed" "The change could not be kept; nothing has changed.";

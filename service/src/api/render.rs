@@ -89,7 +89,7 @@ pub(super) async fn get(
     ApiPath(id): ApiPath<String>,
     ApiQuery(query): ApiQuery<RenderQuery>,
 ) -> ApiResult<Response> {
-    let scene = find_scene(&app, &id)?;
+    let scene = find_scene(&app, &id).await?;
     let published = scene.published();
     let spec = to_spec(&query, &published.world)?;
     let before = match (spec.view, query.since) {

@@ -110,7 +110,7 @@ pub(super) async fn create(
     headers: HeaderMap,
     body: Body,
 ) -> ApiResult<Response> {
-    let scene = find_scene(&app, &id)?;
+    let scene = find_scene(&app, &id).await?;
     require_content_type(&headers, &["application/json"])?;
     let body = read_body(&app, &headers, body, app.config.limits.edit_bytes).await?;
     let invalid = |error: serde_json::Error| Problem::new(Kind::InvalidJson, error.to_string());

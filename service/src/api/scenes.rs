@@ -94,7 +94,7 @@ pub(super) async fn patch(
     body: Body,
 ) -> ApiResult<Response> {
     require_serving(&app)?;
-    let scene = find_scene(&app, &id)?;
+    let scene = find_scene(&app, &id).await?;
     require_content_type(&headers, &["application/json"])?;
     let body = read_body(&app, &headers, body, app.config.limits.edit_bytes).await?;
     let value: Value =
@@ -158,6 +158,7 @@ pub(super) fn summary(app: &App, scene: &SceneEntry) -> types::SceneSummary {
     types::SceneSummary {
         id: scene.id.clone(),
         name: scene.name(),
+        state: scene.state().into(),
         mode: scene.mode,
         spacing: published.world.spacing(),
         version: published.version,
@@ -192,6 +193,7 @@ fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::
     types::Scene {
         id: scene.id.clone(),
         name: scene.name(),
+        state: scene.state().into(),
         mode: scene.mode,
         spacing: world.spacing(),
         version: published.version,

@@ -39,6 +39,30 @@ impl From<PartName> for Wanted {
     }
 }
 
+/// Whether a scene can be worked with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SceneState {
+    /// It was uploaded just now: its elements are being laid out. Until then it has none, and no objects; requests that
+    /// need them wait.
+    Preparing,
+    /// It takes edits.
+    Ready,
+    /// It cannot be built; `error` says why. It can be looked at and deleted.
+    Damaged,
+}
+
+impl From<crate::store::scenes::SceneState> for SceneState {
+    fn from(state: crate::store::scenes::SceneState) -> SceneState {
+        use crate::store::scenes::SceneState as Kept;
+        match state {
+            Kept::Preparing => SceneState::Preparing,
+            Kept::Ready => SceneState::Ready,
+            Kept::Damaged => SceneState::Damaged,
+        }
+    }
+}
+
 /// A scene with all that is in it.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Scene {
@@ -48,6 +72,8 @@ pub struct Scene {
     /// Name for people.
     #[schema(example = "living room")]
     pub name: String,
+    /// Whether it can be worked with.
+    pub state: SceneState,
     /// What the light map holds.
     pub mode: Mode,
     /// Largest distance between neighbouring elements, metres.
@@ -140,6 +166,8 @@ pub struct SceneSummary {
     /// Name for people.
     #[schema(example = "living room")]
     pub name: String,
+    /// Whether it can be worked with.
+    pub state: SceneState,
     /// What the light map holds.
     pub mode: Mode,
     /// Largest distance between neighbouring elements, metres.

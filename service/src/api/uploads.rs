@@ -1,5 +1,6 @@
 //! Uploads of scenes.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use axum::Json;
@@ -21,8 +22,8 @@ use super::problem::{ApiResult, Kind, Problem};
 use super::scenes::scene_json;
 use super::skies;
 use super::types::{self, JobPriority};
-use super::{Shared, etag, require_serving};
-use crate::engine::{self, LoadError, Scene, SurfaceError, World, WorldError};
+use super::{Shared, etag, prepare, require_serving};
+use crate::engine::{self, Density, LoadError, Scene, SurfaceError, World, WorldError};
 use crate::jobs::budget::JobBudget;
 use crate::jobs::queue::{Full, JobKind};
 use crate::jobs::{JobSpec, new_record};
@@ -31,7 +32,7 @@ use crate::mode::Mode;
 use crate::state::App;
 use crate::store::layers::LAYER_BYTES;
 use crate::store::records::{SceneRecord, StoredOutside};
-use crate::store::scenes::{NewScene, Reservation, SceneEntry};
+use crate::store::scenes::{NewScene, Reservation, SceneEntry, SceneState};
 use crate::store::versions::{FIRST_RESERVE, Published};
 
 /// Media types of an uploaded file.
@@ -48,7 +49,8 @@ pub(super) struct CreateQuery {
     /// Name for people.
     #[param(example = "living room")]
     name: Option<String>,
-    /// Largest distance between neighbouring elements, metres; chosen from the scene's size where absent.
+    /// Largest distance between neighbouring elements, metres; chosen from the scene's size where absent. On a few objects that
+    /// are too large for it (a ground of a square kilometre) they lie farther apart, with a warning.
     #[param(example = 0.1)]
     spacing: Option<f32>,
     /// What the light map holds; `full` where absent.
@@ -130,12 +132,8 @@ pub(super) async fn create(
     let reservation = app.scenes.reserve(app.config.limits.scenes).ok_or_else(full)?;
     let (glb, _room) = read_upload(&app, &headers, body).await?;
     let permit = upload_permit(&app).await?;
-    let its_app = app.clone();
-    let build = move || {
-        let _permit = permit;
-        create_scene(&its_app, &reservation, options, &glb)
-    };
-    let (scene, bake) = app.compute.build(build).await??;
+    let upload = Upload { reservation, options: Arc::new(options), glb };
+    let (scene, bake) = prepare::create(&app, upload, permit).await?;
     let location = format!("/v1/scenes/{}", scene.id);
     let (accepted, json) = scene_json(&app, &scene, bake).await?;
     let headers = [(header::LOCATION, location), (header::ETAG, etag(accepted))];
@@ -150,7 +148,7 @@ async fn plan(app: &Arc<App>, options: Options, headers: &HeaderMap, body: Body)
     let build = move || {
         let _permit = permit;
         let world = build_world(&its_app, &glb, &options)?;
-        let layers = layers::count(&world.scene, &world.scene.groups) * LAYER_BYTES * world.slots();
+        let layers = layer_bytes(&world) as usize;
         let published = Published::black(world, options.mode);
         let world = &published.world;
         Ok::<_, Problem>(types::ScenePlan {
@@ -167,25 +165,27 @@ async fn plan(app: &Arc<App>, options: Options, headers: &HeaderMap, body: Body)
     Ok(Json(app.compute.build(build).await??).into_response())
 }
 
-/// Builds a scene, keeps it with its bake, and lets everybody see both; answers the scene and the bake's id.
-fn create_scene(
+/// Keeps a scene with its bake, and lets everybody see both; answers the scene and the bake's id. Without a world it is
+/// being prepared, and its bake waits for that.
+pub(super) fn keep(
     app: &Arc<App>,
-    reservation: &Reservation,
-    options: Options,
-    glb: &Bytes,
+    Upload { reservation, options, glb }: &Upload,
+    about: &About,
+    world: Option<World>,
 ) -> ApiResult<(Arc<SceneEntry>, Option<String>)> {
-    let world = build_world(app, glb, &options)?;
     let record = SceneRecord {
-        name: options.name,
+        name: options.name.clone(),
         mode: options.mode,
-        spacing: world.spacing(),
+        spacing: about.density.spacing,
+        object_squares: Some(about.density.object_squares).filter(|squares| squares.is_finite()),
         environment: options.environment,
-        outside: options.outside,
+        outside: options.outside.clone(),
         max_albedo: options.max_albedo,
-        groups: world.scene.groups.clone(),
+        groups: about.groups.clone(),
         target: options.target,
         created_at: Timestamp::now(),
     };
+    let is_preparing = world.is_none();
     let new = NewScene {
         number: reservation.number,
         id: app.ids.scene(reservation.number),
@@ -196,11 +196,12 @@ fn create_scene(
         first_event: app.first_event,
         reserved: FIRST_RESERVE,
         error: None,
-        is_damaged: false,
+        state: if is_preparing { SceneState::Preparing } else { SceneState::Ready },
     };
-    let layers = layers::count(&world.scene, &world.scene.groups) * LAYER_BYTES * world.slots();
+    let layers = world.as_ref().map_or(0, layer_bytes);
+    let world = world.unwrap_or_else(|| engine::warned(engine::empty_world(about.density.spacing), &about.warnings));
     let scene = Arc::new(SceneEntry::new(new, world, &app.config.limits));
-    scene.expect_layers(layers as u64);
+    scene.expect_layers(layers);
     // Nobody else sees the scene yet.
     let mut head = scene.head.blocking_lock();
     let bake = match options.target.filter(|_| options.bake) {
@@ -208,8 +209,9 @@ fn create_scene(
         Some(budget) => {
             let spec = JobSpec::new(budget, next_seed(app.config.seed, &mut head.jobs), 0);
             let ticket = app.ticket(scene.number).map_err(full_problem)?;
-            let job = new_record(ticket.number, &scene, (JobKind::Bake, options.priority), spec);
-            Some((ticket, job))
+            let mut bake = new_record(ticket.number, &scene, (JobKind::Bake, options.priority), spec);
+            bake.job.waits_for_scene = is_preparing;
+            Some((ticket, bake))
         }
     };
     let skies: Vec<&str> = record.outside.sky.iter().map(|sky| sky.asset.as_str()).collect();
@@ -224,8 +226,27 @@ fn create_scene(
     Ok((scene, bake))
 }
 
+/// Bytes that the layers of a scene take which its upload asks for.
+pub(super) fn layer_bytes(world: &World) -> u64 {
+    (layers::count(&world.scene, &world.scene.groups) * LAYER_BYTES * world.slots()) as u64
+}
+
+/// A file with how to light it.
+pub(super) struct Upload {
+    reservation: Reservation,
+    pub(super) options: Arc<Options>,
+    pub(super) glb: Bytes,
+}
+
+/// What is known of a scene before it is built.
+pub(super) struct About {
+    pub(super) density: Density,
+    groups: BTreeMap<String, String>,
+    warnings: Vec<String>,
+}
+
 /// A query, checked.
-struct Options {
+pub(super) struct Options {
     name: String,
     spacing: Option<f32>,
     mode: Mode,
@@ -307,7 +328,19 @@ fn parse_environment(text: &str) -> ApiResult<[f32; 3]> {
 }
 
 fn build_world(app: &App, glb: &Bytes, options: &Options) -> ApiResult<World> {
-    let (spacing, limits) = (options.spacing, &app.config.limits);
+    let (scene, density) = read_scene(app, glb, options)?;
+    lay_out(app, scene, density, options)
+}
+
+impl About {
+    pub(super) fn of(scene: &Scene, density: Density) -> About {
+        About { density, groups: scene.groups.clone(), warnings: scene.warnings.clone() }
+    }
+}
+
+/// What a file holds, with what is asked for beside it, and how far its elements will lie apart.
+pub(super) fn read_scene(app: &App, glb: &Bytes, options: &Options) -> ApiResult<(Scene, Density)> {
+    let limits = &app.config.limits;
     let mut scene = engine::load(glb, limits, options.max_albedo).map_err(load_problem)?;
     let outside = skies::outside(options.environment, &options.outside, &app.assets)?;
     if !outside.add_to(&mut scene) {
@@ -316,11 +349,21 @@ fn build_world(app: &App, glb: &Bytes, options: &Options) -> ApiResult<World> {
     }
     check_strengths(&scene)?;
     scene.groups = options.layers.groups(&scene)?;
-    let bytes = memory::estimate(&scene, spacing);
+    let wanted = options.spacing.map_or_else(|| Density::chosen(&scene), Density::even);
+    // Where nothing that is large gives way, building says what is too much.
+    let density = wanted.within(&scene, limits.elements).unwrap_or(wanted);
+    Ok((scene, density))
+}
+
+/// Its elements and trees: seconds for large scenes.
+pub(super) fn lay_out(app: &App, scene: Scene, density: Density, options: &Options) -> ApiResult<World> {
+    let limits = &app.config.limits;
+    let bytes = memory::estimate(&scene, density);
     let of_layers = memory::estimate_layers(bytes, layers::count(&scene, &scene.groups));
     let what = if of_layers > 0 { "scene with its layers" } else { "scene" };
     let _promise = app.promise_memory(bytes.saturating_add(of_layers), 0).map_err(|full| memory_problem(what, full))?;
-    engine::build(scene, spacing, options.mode.stated(), options.max_albedo, limits).map_err(|error| match error {
+    let world_options = engine::world_options(density, options.mode.stated(), options.max_albedo, limits);
+    app.config.engine.build(scene, &world_options).map_err(|error| match error {
         WorldError::TooLarge { .. } | WorldError::Surface { source: SurfaceError::TooManyElements { .. }, .. } => {
             Problem::new(Kind::SceneTooLarge, error.to_string())
         }

@@ -68,10 +68,11 @@ impl Session {
             Mode::Indirect => "indirect",
         };
         let new = NewScene { spacing: Some(world.spacing()), mode: Some(mode.to_owned()), ..NewScene::default() };
-        let scene = client.create_scene(write_scene_glb(&world.scene)?, &new).await?;
+        let created = client.create_scene(write_scene_glb(&world.scene)?, &new).await?;
+        let scene = client.prepared_scene(&created.id).await?;
         let follower = client.follow(&scene.id);
         let mut session = Session { client, follower, scene: scene.id.clone() };
-        session.finish(scene.job_id().context("the upload started no bake")?).await?;
+        session.finish(created.job_id().context("the upload started no bake")?).await?;
         session.follower.catch_up().await?;
         Ok(session)
     }

@@ -102,6 +102,17 @@ impl Client {
         self.json(self.request(Method::GET, &["v1", "scenes", scene], &[])?).await
     }
 
+    /// A scene, once it is prepared: right after its upload it may not be.
+    pub async fn prepared_scene(&self, scene: &str) -> Result<Scene, ClientError> {
+        let mut changes = self.scene_events(scene, None).await?;
+        loop {
+            let scene = self.scene(scene).await?;
+            if !scene.is_preparing() || changes.next().await?.is_none() {
+                return Ok(scene);
+            }
+        }
+    }
+
     /// Deletes a scene.
     pub async fn delete_scene(&self, scene: &str) -> Result<(), ClientError> {
         self.send(self.request(Method::DELETE, &["v1", "scenes", scene], &[])?).await.map(drop)

@@ -66,6 +66,12 @@ pub struct Scene {
     /// Its name.
     #[serde(default)]
     pub name: Option<String>,
+    /// `preparing`, `ready` or `damaged`.
+    #[serde(default)]
+    pub state: Option<String>,
+    /// What is wrong with it.
+    #[serde(default)]
+    pub error: Option<String>,
     /// Version of its light map.
     #[serde(default)]
     pub version: u64,
@@ -90,6 +96,11 @@ pub struct Scene {
 }
 
 impl Scene {
+    /// Whether its elements are still being laid out: it has none, and no objects, until then.
+    pub fn is_preparing(&self) -> bool {
+        self.state.as_deref() == Some("preparing")
+    }
+
     /// Id of the job that is queued or runs.
     pub fn job_id(&self) -> Option<&str> {
         let job = self.job.as_ref()?;

@@ -155,6 +155,9 @@ pub struct Job {
     pub cancel_requested: bool,
     /// A running job was asked to make room.
     pub pause_requested: bool,
+    /// Its scene is being prepared: its turn comes when that is done. A restored scene is there.
+    #[serde(skip)]
+    pub waits_for_scene: bool,
     /// The job that does this one's work with its own.
     pub merged_into: Option<JobNumber>,
     /// How far it is.
@@ -183,6 +186,7 @@ impl Job {
             state: JobState::Queued,
             cancel_requested: false,
             pause_requested: false,
+            waits_for_scene: false,
             merged_into: None,
             progress: JobProgress::default(),
             created_at: now,
@@ -215,9 +219,9 @@ impl Job {
         (self.kind.is_for_target(), self.number)
     }
 
-    /// Whether its turn may come: it waits, and no other job does its work.
+    /// Whether its turn may come: it waits, not for its scene, and no other job does its work.
     pub fn is_in_line(&self) -> bool {
-        self.state == JobState::Queued && self.merged_into.is_none()
+        self.state == JobState::Queued && !self.waits_for_scene && self.merged_into.is_none()
     }
 }
 

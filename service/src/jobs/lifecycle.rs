@@ -117,6 +117,26 @@ impl App {
         state.queue.forget_scene(scene.number);
     }
 
+    /// A scene is prepared: what waited for it is in line.
+    pub(crate) fn start_jobs_of(self: &Arc<App>, scene: SceneNumber) {
+        let mut state = self.jobs.lock();
+        state.queue.scene_prepared(scene);
+        self.start_what_can(&mut state);
+    }
+
+    /// A scene cannot be built: nobody can do what waits for it.
+    pub(crate) fn fail_jobs_of(&self, scene: &SceneEntry, error: &str) {
+        let mut state = self.jobs.lock();
+        for number in state.queue.open_of(scene.number) {
+            let outcome = Outcome::Failed(error.to_owned());
+            let kept = self.keep_change(&state, number, |job| job.end(&outcome, Timestamp::now()));
+            kept.unwrap_or_else(|error| self.note_unsaved(scene, &error));
+            if state.queue.fail(number, error, Timestamp::now()) {
+                state.ended(self, number);
+            }
+        }
+    }
+
     /// Cancels a job. A running one stops soon; a queued one is canceled, and what its edit changed is published
     /// where no job that is still open will do so.
     pub(crate) fn cancel_job(&self, number: JobNumber) -> Result<Change, StoreError> {

@@ -208,6 +208,22 @@ impl Queue {
         }
     }
 
+    /// A scene is prepared: its jobs are in line from here on.
+    pub fn scene_prepared(&mut self, scene: SceneNumber) {
+        self.jobs.values_mut().filter(|job| job.scene == scene).for_each(|job| job.waits_for_scene = false);
+    }
+
+    /// Ends a waiting job that nobody can do. False where it does not wait.
+    pub fn fail(&mut self, number: JobNumber, error: &str, now: Timestamp) -> bool {
+        let waits = |job: &&mut Job| matches!(job.state, JobState::Queued | JobState::Paused);
+        let Some(job) = self.jobs.get_mut(&number).filter(waits) else { return false };
+        let scene = job.scene;
+        self.leaves(scene);
+        self.end(number, &Outcome::Failed(error.to_owned()), now);
+        self.forget_old();
+        true
+    }
+
     /// Takes a waiting job out of line at once, asks a running one to make room.
     pub fn pause(&mut self, number: JobNumber) -> Change {
         let Some(job) = self.jobs.get_mut(&number) else { return Change::Unknown };

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::lighting::{Effort, Sequence};
 use super::versions::Lineage;
-use crate::engine::{Focus, Importance, LightMap, TileMode, Tiles};
+use crate::engine::{Density, Focus, Importance, LightMap, TileMode, Tiles};
 use crate::jobs::JobSpec;
 use crate::jobs::budget::JobBudget;
 use crate::jobs::queue::{Job, JobNumber, SceneNumber};
@@ -21,6 +21,9 @@ pub(crate) struct SceneRecord {
     pub(crate) mode: Mode,
     /// The spacing in force, also where the client left it open.
     pub(crate) spacing: f32,
+    /// Most squares of its spacing that one object has; none: as many as it takes.
+    #[serde(default)]
+    pub(crate) object_squares: Option<f64>,
     pub(crate) environment: Option<[f32; 3]>,
     #[serde(default)]
     pub(crate) outside: StoredOutside,
@@ -34,6 +37,13 @@ pub(crate) struct SceneRecord {
     #[serde(default)]
     pub(crate) target: Option<JobBudget>,
     pub(crate) created_at: Timestamp,
+}
+
+impl SceneRecord {
+    /// How far its elements lie apart.
+    pub(crate) fn density(&self) -> Density {
+        Density { spacing: self.spacing, object_squares: self.object_squares.unwrap_or(f64::INFINITY) }
+    }
 }
 
 /// What an upload asks for beside `environment` that shines from outside.

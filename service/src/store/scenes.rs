@@ -51,8 +51,18 @@ pub(crate) struct SceneEntry {
     /// The version beyond which idle time brings nothing.
     pub(crate) refined: AtomicU64,
     error: Mutex<Option<String>>,
+    state: watch::Sender<SceneState>,
+}
+
+/// Whether a scene can be worked with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum SceneState {
+    /// Its elements are laid out and its trees are built: what is published is empty.
+    Preparing,
+    /// It takes edits.
+    Ready,
     /// It cannot be served: only looked at and deleted.
-    pub(crate) is_damaged: bool,
+    Damaged,
 }
 
 /// What the next edit is validated against.
@@ -108,7 +118,7 @@ impl SceneEntry {
             expected_layers: AtomicU64::new(0),
             refined: AtomicU64::new(u64::MAX),
             error: Mutex::new(new.error),
-            is_damaged: new.is_damaged,
+            state: watch::Sender::new(new.state),
         }
     }
 
@@ -184,6 +194,39 @@ impl SceneEntry {
 
     pub(crate) fn mark_deleted(&self) {
         self.deleted.send_replace(true);
+        // Who waits for it is told.
+        self.state.send_replace(SceneState::Damaged);
+    }
+
+    pub(crate) fn state(&self) -> SceneState {
+        *self.state.borrow()
+    }
+
+    pub(crate) fn is_damaged(&self) -> bool {
+        self.state() == SceneState::Damaged
+    }
+
+    /// Waits until it is prepared.
+    pub(crate) async fn prepared(&self) {
+        let mut state = self.state.subscribe();
+        // The sender lives as long as the scene.
+        let _ = state.wait_for(|state| *state != SceneState::Preparing).await;
+    }
+
+    /// It is prepared: here is what it holds.
+    pub(crate) fn set_ready(&self, head: &mut Head, world: World) -> Arc<Published> {
+        self.set_accepted_bytes(world.memory_bytes() as u64);
+        head.world = world.clone();
+        let published = self.publish(Published::laid_out(world, self.mode));
+        published.objects();
+        self.state.send_replace(SceneState::Ready);
+        published
+    }
+
+    /// It cannot be built.
+    pub(crate) fn set_damaged(&self, error: String) {
+        self.set_error(Some(error));
+        self.state.send_replace(SceneState::Damaged);
     }
 
     pub(crate) fn accept(&self, unlit: Unlit) {
@@ -318,7 +361,7 @@ pub(crate) struct NewScene {
     /// Versions that may be given.
     pub(crate) reserved: u64,
     pub(crate) error: Option<String>,
-    pub(crate) is_damaged: bool,
+    pub(crate) state: SceneState,
 }
 
 /// A remembered request.

@@ -119,6 +119,12 @@ impl Published {
         }
     }
 
+    /// Version 1, behind the empty version 0 of a scene that was being prepared: no light.
+    pub(crate) fn laid_out(world: World, mode: Mode) -> Published {
+        let black = Published::black(world, mode);
+        Published { version: 1, elements_version: 1, changed: vec![1; black.map.len()].into(), ..black }
+    }
+
     /// What was saved, in a new life. `reserved`: no version above it was ever given.
     pub(crate) fn restored(world: World, mode: Mode, light: LightRecord, unknown: Unknown, reserved: u64) -> Published {
         let LightRecord { about: state, map, changed, .. } = light;

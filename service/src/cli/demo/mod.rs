@@ -178,11 +178,12 @@ impl Demo {
     async fn bake(&mut self) -> anyhow::Result<()> {
         let start = Instant::now();
         let new = NewScene { name: Some("demo".to_owned()), spacing: Some(self.spacing), ..NewScene::default() };
-        let scene = self.client.create_scene(self.room_glb.clone(), &new).await?;
+        let created = self.client.create_scene(self.room_glb.clone(), &new).await?;
+        let scene = self.client.prepared_scene(&created.id).await?;
         self.scene.clone_from(&scene.id);
         self.follower = Some(self.client.follow(&scene.id));
         self.feed = Some(ProgressFeed::new(self.client.clone(), &scene.id));
-        let job = self.client.job(scene.job_id().context("the upload started no bake")?).await?;
+        let job = self.client.job(created.job_id().context("the upload started no bake")?).await?;
         let step = self.follow(job, start).await?;
         let room = self.load(&self.room_glb)?;
         let options = WorldOptions { spacing: Some(self.spacing), ..WorldOptions::default() };

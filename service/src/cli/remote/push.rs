@@ -87,9 +87,12 @@ pub(in super::super) async fn push(args: PushArgs) -> anyhow::Result<()> {
 }
 
 fn note_scene(scene: &Scene) {
+    let name = scene.name.as_deref().unwrap_or(&scene.id);
+    if scene.is_preparing() {
+        return ui::note(&format!("{name}: its elements are being laid out"));
+    }
     ui::note(&format!(
-        "{}: {} objects, {} lights, {} elements, {}",
-        scene.name.as_deref().unwrap_or(&scene.id),
+        "{name}: {} objects, {} lights, {} elements, {}",
         ui::count(scene.objects.len() as u64),
         ui::count(scene.lights.len() as u64),
         ui::count(scene.elements),

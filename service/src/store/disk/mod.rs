@@ -116,6 +116,7 @@ mod tests {
             name,
             mode: Mode::Full,
             spacing: 0.1,
+            object_squares: None,
             environment: None,
             outside: StoredOutside::default(),
             max_albedo: None,
