@@ -15,7 +15,7 @@ use super::extract::{ApiPath, ApiQuery, Coding, ETags, first_named};
 use super::paging::Onward;
 use super::problem::{ApiResult, Kind, Problem};
 use super::scenes::ListQuery;
-use super::types::{Object, finite};
+use super::types::{SceneObject, finite};
 use super::{Shared, etag, find_scene};
 use crate::engine::{self, ObjectSummary, Scene};
 use crate::store::versions::{Published, Wanted};
@@ -24,7 +24,7 @@ use crate::store::versions::{Published, Wanted};
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 pub(super) struct ObjectPage {
     /// In the order of `index`.
-    items: Vec<Object>,
+    items: Vec<SceneObject>,
     /// Version of the light map.
     #[schema(example = 7)]
     version: u64,
@@ -45,7 +45,7 @@ pub(super) struct ObjectDetail {
     #[schema(example = 3)]
     elements_version: u64,
     /// As the scene lists it.
-    object: Object,
+    object: SceneObject,
     /// Its mesh as the file has it.
     mesh: ObjectMesh,
     /// Its materials, in the order of its file.
@@ -108,9 +108,9 @@ pub(super) async fn list(
     let page = Onward::new(&app.config, query.limit, query.cursor.as_deref())?;
     let write = move || {
         // Numbers of entries begin with 1: nothing is before the first page.
-        let number = |object: &Object| u64::from(object.index) + 1;
+        let number = |object: &SceneObject| u64::from(object.index) + 1;
         let after = usize::try_from(page.after).unwrap_or(usize::MAX);
-        let found = published.objects().iter().skip(after).take(page.limit + 1).map(Object::new).collect();
+        let found = published.objects().iter().skip(after).take(page.limit + 1).map(SceneObject::new).collect();
         let (items, next_cursor) = page.cut(found, number);
         let (version, elements_version) = (published.version, published.elements_version);
         serde_json::to_vec(&ObjectPage { items, version, elements_version, next_cursor })
@@ -238,7 +238,7 @@ fn detail(published: &Published, summary: &ObjectSummary) -> ObjectDetail {
     ObjectDetail {
         version: published.version,
         elements_version: published.elements_version,
-        object: Object::new(summary),
+        object: SceneObject::new(summary),
         mesh: ObjectMesh {
             vertices: mesh.positions.len() as u64,
             triangles: mesh.triangles.len() as u64,

@@ -204,7 +204,7 @@ fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::
         target: scene.target().map(to_target),
         accepted_edits: scene.accepted_edits(),
         unlit_edits: scene.unlit() as u64,
-        objects: published.objects().iter().map(types::Object::new).collect(),
+        objects: published.objects().iter().map(types::SceneObject::new).collect(),
         lights: world.lights().map(|info| light(&info, &published.map)).collect(),
         layers: published.layers.iter().map(layers::describe).collect(),
         cameras: world.scene.cameras.iter().zip(0..).map(camera).collect(),

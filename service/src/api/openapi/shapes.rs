@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use utoipa::openapi::content::Content;
 use utoipa::openapi::path::Operation;
 use utoipa::openapi::schema::{AllOf, Discriminator, KnownFormat, Object, OneOf, SchemaFormat, SchemaType, Type};
-use utoipa::openapi::{Components, Ref, RefOr, Schema};
+use utoipa::openapi::{Components, Ref, RefOr, Required, Schema};
 
 const SCHEMAS: &str = "#/components/schemas/";
 
@@ -67,6 +67,9 @@ fn variant(item: &RefOr<Schema>, tag: &str) -> Option<(String, Object)> {
 pub(super) fn mark_bytes(operation: &mut Operation) {
     if let Some(RefOr::T(body)) = &mut operation.request_body {
         body.content.iter_mut().for_each(|(media_type, content)| mark(media_type, content));
+        // No call takes a body that may be absent. openapi-python-client forgets an import where one of several kinds is
+        // required.
+        body.required = (body.content.len() == 1).then_some(Required::True);
     }
     for response in operation.responses.responses.values_mut() {
         if let RefOr::T(response) = response {

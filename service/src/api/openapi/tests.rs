@@ -184,6 +184,17 @@ fn edits_and_lights_are_told_apart_by_their_tags() {
     }
 }
 
+/// A derived schema takes a type named as one of its own words for any object.
+#[test]
+fn lists_say_what_they_hold() {
+    let document = described();
+    for (list, item) in [("Scene", "objects"), ("ObjectPage", "items"), ("JobPage", "items"), ("EditList", "edits")] {
+        let items = &document["components"]["schemas"][list]["properties"][item]["items"];
+        assert!(items["$ref"].is_string(), "{list}.{item}: {items}");
+    }
+    assert_eq!(document["components"]["schemas"]["SceneObject"]["properties"]["index"]["type"], "integer");
+}
+
 #[test]
 fn every_operation_says_who_may_call_it_and_what_it_answers() {
     let document = described();
