@@ -66,11 +66,18 @@ def map_path_parameters(ctx, path_parameters):
         path_parameters["scene"] = SCENES[1 if deletes else 0]["id"]
     if path_parameters and "job" in path_parameters:
         path_parameters["job"] = SCENES[0]["current_job"]
+    # Every other object and pair of versions is there.
+    if path_parameters and len(str(path_parameters.get("object", "x"))) % 2 == 0:
+        path_parameters["object"] = "sofa"
+    if path_parameters and "from" in path_parameters and path_parameters["from"] % 2 == 0:
+        path_parameters.update({"from": 0, "to": 1})
     return path_parameters
 
 
 @schemathesis.hook
 def before_call(ctx, case, kwargs):
-    """Deltas that follow never end by themselves."""
+    """Deltas that follow never end by themselves; pictures of the default size take too long by the thousand."""
+    if case.operation.path.endswith("/render"):
+        case.query = {"width": "16", "height": "16", "spp": "1", **(case.query or {})}
     if case.query and "follow" in case.query:
         case.query["follow"] = "false"

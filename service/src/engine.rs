@@ -9,6 +9,7 @@ use std::sync::Arc;
 use glam::{DMat4, DVec3, Vec3};
 use rebake_core::export::{EXR_WIDTH, write_exr};
 pub(crate) use rebake_core::layers::{Layer, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER};
+pub(crate) use rebake_core::scene::Object;
 use rebake_core::scene::{self, DEFAULT_MAX_ALBEDO, LoadLimits, NodeSource};
 pub use rebake_core::scene::{LoadError, Scene};
 pub(crate) use rebake_core::scene::{Outside, SkyPicture};
@@ -270,16 +271,31 @@ pub(crate) const ELEMENT_BYTES: usize = 32;
 /// Per slot: world-space position, normal, area, object index; little-endian.
 pub(crate) fn element_records(world: &World) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(world.slots() * ELEMENT_BYTES);
-    let origin = world.scene.origin;
     for (slot, object) in world.object_indices().into_iter().enumerate() {
-        let position = (world.positions()[slot].as_dvec3() + origin).as_vec3();
-        for number in position.to_array().into_iter().chain(world.normals()[slot].to_array()) {
-            bytes.extend_from_slice(&number.to_le_bytes());
-        }
-        bytes.extend_from_slice(&world.areas()[slot].to_le_bytes());
-        bytes.extend_from_slice(&object.to_le_bytes());
+        push_element(&mut bytes, world, slot, object);
     }
     bytes
+}
+
+/// Per element of one object: what [`element_records`] tells, its light (three `f32`) and the standard error of that.
+pub(crate) fn object_records(world: &World, object: &ObjectSummary, light: &[Vec3], errors: &[Vec3]) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(object.elements as usize * (ELEMENT_BYTES + 16));
+    for slot in object.first_element as usize..(object.first_element + object.elements) as usize {
+        push_element(&mut bytes, world, slot, object.index);
+        for number in light[slot].to_array().into_iter().chain([errors[slot].x]) {
+            bytes.extend_from_slice(&number.to_le_bytes());
+        }
+    }
+    bytes
+}
+
+fn push_element(bytes: &mut Vec<u8>, world: &World, slot: usize, object: u32) {
+    let position = (world.positions()[slot].as_dvec3() + world.scene.origin).as_vec3();
+    for number in position.to_array().into_iter().chain(world.normals()[slot].to_array()) {
+        bytes.extend_from_slice(&number.to_le_bytes());
+    }
+    bytes.extend_from_slice(&world.areas()[slot].to_le_bytes());
+    bytes.extend_from_slice(&object.to_le_bytes());
 }
 
 /// A hash of all elements: two worlds with the same one have the same slots, bit for bit.
@@ -290,6 +306,12 @@ pub(crate) fn layout_hash(world: &World) -> String {
 /// The subdivided mesh with the values as vertex colours, as binary glTF.
 pub(crate) fn lightmap_glb(world: &World, values: &[Vec3]) -> Result<Vec<u8>, String> {
     rebake_core::export::lightmap_glb(world, values).map_err(|error| error.to_string())
+}
+
+/// One object, by its index: its mesh as the file has it, and its elements with their light, as binary glTF.
+pub(crate) fn object_glb(world: &World, index: u32, light: &[Vec3]) -> Result<Vec<u8>, String> {
+    let written = rebake_core::export::object_glb(world, index as usize, light).ok_or("there is no such object")?;
+    written.map_err(|error| error.to_string())
 }
 
 /// A map from before an edit that only relights, with the layers of the map from after it, where these still add up to

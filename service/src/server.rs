@@ -42,7 +42,8 @@ pub async fn run(listener: TcpListener, mut config: Config, shutdown: impl Futur
     let router = api::router(app.clone());
     let connections = Connections::new(app.config.limits.connections);
     let graceful = GracefulShutdown::new();
-    tracing::info!(address = ?listener.local_addr().ok(), "listening");
+    let address = listener.local_addr().map_or_else(|_| "unknown".to_owned(), |address| address.to_string());
+    tracing::info!(address, "listening");
     let mut shutdown = std::pin::pin!(shutdown);
     loop {
         let accepted = tokio::select! {

@@ -54,6 +54,9 @@ async fn tokens_open_what_their_scopes_allow() {
     refused.problem(403, "forbidden");
     assert!(refused.header("www-authenticate").contains("scope=\"edit\""));
     let scene = call(&server, Method::POST, "/v1/scenes?bake=false&spacing=1", Some(EDIT)).await.json(201);
+    // What needs a token is not for caches that others share.
+    let delta = call(&server, Method::GET, &format!("{}/lightmap/deltas/0-0", path_of(&scene)), Some(READ)).await;
+    assert_eq!(delta.header("cache-control"), "private, max-age=31536000, immutable");
     call(&server, Method::DELETE, &path_of(&scene), Some(EDIT)).await.problem(403, "forbidden");
     let client = server.client.clone().with_token(ADMIN).unwrap();
     assert!(!format!("{client:?}").contains(ADMIN));

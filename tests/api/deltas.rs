@@ -300,3 +300,93 @@ async fn many_clients_of_several_scenes_lose_nothing() {
     let _: Answer = server.get("/healthz").await;
     server.stop().await;
 }
+
+/// The bytes of `…/deltas/{from}-{to}`, with what caches read.
+async fn between(server: &Server, scene: &Value, versions: &str) -> Answer {
+    server.get(&format!("{}/lightmap/deltas/{versions}", path_of(scene))).await
+}
+
+#[tokio::test]
+async fn a_delta_between_two_versions_is_for_good() {
+    let (server, script) = Server::scripted().await;
+    let scene = server.room("").await;
+    let mut maps = vec![Follower::default()];
+    for version in 1..=3_u64 {
+        script.run(&[Step::Round]);
+        server.client.follow(scene["id"].as_str().unwrap()).reach(version).await.unwrap();
+        let mut now = Follower::default();
+        now.take(&server.get(&format!("{}/lightmap?format=raw", path_of(&scene))).await.body);
+        for from in 0..version {
+            let mut follower = Follower::default();
+            follower.map.clone_from(&maps[from as usize].map);
+            follower.version = from;
+            let answer = between(&server, &scene, &format!("{from}-{version}")).await;
+            assert_eq!(answer.status, 200);
+            assert!(follower.take(&answer.body));
+            assert_eq!((follower.version, follower.bits()), (version, now.bits()), "{from}-{version}");
+            assert_eq!(answer.header("cache-control"), "public, max-age=31536000, immutable");
+            assert_eq!(answer.header("etag"), format!("\"{from}-{version}\""));
+            assert_eq!(answer.header("x-rebake-version"), version.to_string());
+        }
+        maps.push(now);
+    }
+    // What was asked for once stays as it was.
+    let mut follower = Follower { map: maps[1].map.clone(), version: 1, ..Follower::default() };
+    follower.take(&between(&server, &scene, "1-2").await.body);
+    assert_eq!((follower.version, follower.bits()), (2, maps[2].bits()));
+    let nothing = between(&server, &scene, "2-2").await;
+    assert_eq!((nothing.status.as_u16(), nothing.body.len()), (200, 0));
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn a_delta_that_is_not_there_is_a_problem_that_no_cache_keeps() {
+    let (server, script) = Server::scripted().await;
+    let scene = server.room("").await;
+    script.run(&[Step::Round, Step::Round, Step::Round]);
+    server.client.follow(scene["id"].as_str().unwrap()).reach(3).await.unwrap();
+    for (versions, status, kind) in [
+        ("2-4", 404, "unknown-version"),
+        ("4-4", 404, "unknown-version"),
+        ("1-2", 410, "version-forgotten"),
+        ("2-1", 400, "bad-request"),
+        ("01-2", 400, "bad-request"),
+        ("+1-2", 400, "bad-request"),
+        ("1-", 400, "bad-request"),
+        ("x-2", 400, "bad-request"),
+        ("1-2-3", 400, "bad-request"),
+        ("1-99999999999999999999", 400, "bad-request"),
+    ] {
+        let answer = between(&server, &scene, versions).await;
+        answer.problem(status, kind);
+        assert_eq!(answer.header("cache-control"), "no-store", "{versions}");
+    }
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn each_coding_of_a_delta_has_a_tag_of_its_own() {
+    let (server, script) = Server::scripted().await;
+    let scene = server.room("").await;
+    script.run(&[Step::Round]);
+    server.client.follow(scene["id"].as_str().unwrap()).reach(1).await.unwrap();
+    let plain = between(&server, &scene, "0-1").await;
+    let mut tags = vec![plain.header("etag").to_owned()];
+    let path = format!("{}/lightmap/deltas/0-1", path_of(&scene));
+    for coding in ["gzip", "zstd"] {
+        let ask = |name: &str, value: &str| {
+            server.request(Method::GET, &path).header("accept-encoding", coding).header(name, value).send()
+        };
+        let answer = Answer::of(ask("accept", "*/*").await.unwrap()).await;
+        assert_eq!((answer.header("content-encoding"), answer.header("vary")), (coding, "accept-encoding"));
+        assert!(unpack(coding, &answer.body) == plain.body);
+        tags.push(answer.header("etag").to_owned());
+        let known = ask("if-none-match", answer.header("etag")).await.unwrap();
+        assert_eq!(known.status(), 304);
+        assert_eq!(known.headers()["etag"], answer.header("etag"));
+        assert_eq!(ask("if-none-match", plain.header("etag")).await.unwrap().status(), 200, "those bytes are others");
+    }
+    tags.dedup();
+    assert_eq!(tags.len(), 3, "{tags:?}");
+    server.stop().await;
+}

@@ -24,6 +24,7 @@ mod layers;
 mod lightmap;
 mod load;
 mod moves;
+mod objects;
 mod openapi;
 mod parts;
 mod preparing;

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::{EXR_WIDTH, ExportError, MeshExport, write_exr, write_glb};
+use super::{EXR_WIDTH, ExportError, MeshExport, ObjectExport, write_exr, write_glb, write_object_glb};
 use crate::scene::{LightKind, Material};
 use crate::space::Patch;
 use crate::world::World;
@@ -19,6 +19,27 @@ pub fn lightmap_glb(world: &World, values: &[Vec3]) -> Result<Vec<u8>, ExportErr
     let pieces: Vec<Piece> = (0..world.placed.len()).map(|index| Piece::new(world, index)).collect();
     let meshes: Vec<MeshExport> = pieces.iter().map(|p| p.export(world, values)).collect();
     write_glb(&meshes, world.scene.origin)
+}
+
+/// One object of a world, by its position in [`World::objects`], with `values` (per slot) as the light of its
+/// elements: see [`write_object_glb`]. None where there is no such object.
+///
+/// # Errors
+/// [`ExportError`]: values that do not fit the world or are not finite, more than the format can hold.
+pub fn object_glb(world: &World, index: usize, values: &[Vec3]) -> Option<Result<Vec<u8>, ExportError>> {
+    let (placed, object) = (world.placed.get(index)?, &world.scene.objects[index]);
+    if values.len() != world.slots() {
+        return Some(Err(ExportError::Lists("the light map".to_owned())));
+    }
+    let piece = Piece::new(world, index);
+    Some(write_object_glb(&ObjectExport {
+        object,
+        lights: &world.scene.lights,
+        elements: piece.export(world, values),
+        origin: world.scene.origin,
+        first_element: placed.placement.elements.start,
+        with_back: placed.with_back,
+    }))
 }
 
 /// `values` (per slot) as an OpenEXR picture of one pixel per slot.

@@ -5,8 +5,8 @@ mod glb;
 mod lightmap;
 
 pub use self::exr::{EXR_WIDTH, write_exr, write_picture_exr};
-pub use self::glb::{MeshExport, write_glb, write_scene_glb};
-pub use self::lightmap::{lightmap_exr, lightmap_glb};
+pub use self::glb::{MeshExport, ObjectExport, write_glb, write_object_glb, write_scene_glb};
+pub use self::lightmap::{lightmap_exr, lightmap_glb, object_glb};
 
 /// Why a file could not be written.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

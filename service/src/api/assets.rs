@@ -108,7 +108,7 @@ fn add(app: &App, file: &Bytes, is_picture: bool) -> ApiResult<(StatusCode, Json
 /// All assets, newest first.
 #[utoipa::path(
     get, path = "/v1/assets", tag = "assets", operation_id = "list_assets", params(ListQuery),
-    responses((status = 200, body = AssetPage))
+    responses((status = 200, body = AssetPage, description = "A page of assets"))
 )]
 pub(super) async fn list(State(app): Shared, ApiQuery(query): ApiQuery<ListQuery>) -> ApiResult<Json<AssetPage>> {
     let page = Page::new(&app.config, query.limit, query.cursor.as_deref())?;

@@ -40,9 +40,10 @@ impl Coder {
     }
 
     /// Everything that the client needs to see `piece`.
-    pub(super) fn push(&mut self, piece: Vec<u8>) -> io::Result<Bytes> {
+    pub(super) fn push(&mut self, piece: impl Into<Bytes>) -> io::Result<Bytes> {
+        let piece = piece.into();
         match self {
-            Coder::Identity => Ok(piece.into()),
+            Coder::Identity => Ok(piece),
             Coder::Gzip(encoder) => {
                 encoder.write_all(&piece)?;
                 encoder.flush()?;
@@ -67,7 +68,7 @@ impl Coder {
 }
 
 /// A whole body in one piece.
-pub(crate) fn encode_body(coding: Coding, body: Vec<u8>) -> io::Result<Bytes> {
+pub(crate) fn encode_body(coding: Coding, body: impl Into<Bytes>) -> io::Result<Bytes> {
     let mut coder = Coder::new(coding)?;
     let head = coder.push(body)?;
     let tail = coder.finish()?;

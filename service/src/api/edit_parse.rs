@@ -34,9 +34,9 @@ pub(crate) fn parse(body: &[u8], max_edits: usize) -> ApiResult<Parsed> {
     let Value::Object(mut fields) = value else {
         return Err(Problem::new(Kind::InvalidJson, "the body has to be a JSON object"));
     };
-    let Extras { mut budget, mut focus, mut tiles } = take_extras(&mut fields, "")?;
-    let priority = fields.remove("priority").map_or(Ok(JobPriority::Normal), |value| read(value, "priority"))?;
+    let Extras { mut budget, mut focus, mut tiles, mut priority } = take_extras(&mut fields, "")?;
     let Some(list) = fields.remove("edits") else {
+        let priority = priority.unwrap_or_default();
         return Ok(Parsed { edits: vec![parse_op(fields, "")?], budget, focus, tiles, priority, is_list: false });
     };
     if let Some(unknown) = fields.keys().next() {
@@ -60,9 +60,10 @@ pub(crate) fn parse(body: &[u8], max_edits: usize) -> ApiResult<Parsed> {
         budget = budget.or(its.budget);
         focus = focus.or(its.focus);
         tiles = tiles.or(its.tiles);
+        priority = priority.or(its.priority);
         edits.push(parse_op(fields, &path)?);
     }
-    Ok(Parsed { edits, budget, focus, tiles, priority, is_list: true })
+    Ok(Parsed { edits, budget, focus, tiles, priority: priority.unwrap_or_default(), is_list: true })
 }
 
 /// What an edit, or a list of them, may carry beside.
@@ -70,16 +71,19 @@ struct Extras {
     budget: Option<Budget>,
     focus: Option<Focus>,
     tiles: Option<Tiles>,
+    priority: Option<JobPriority>,
 }
 
 fn take_extras(fields: &mut Map<String, Value>, path: &str) -> ApiResult<Extras> {
     fn take<T: DeserializeOwned>(fields: &mut Map<String, Value>, path: &str, name: &str) -> ApiResult<Option<T>> {
-        fields.remove(name).map(|value| read(value, &join(path, name))).transpose()
+        // `null` is as good as absent.
+        fields.remove(name).map_or(Ok(None), |value| read(value, &join(path, name)))
     }
     Ok(Extras {
         budget: take(fields, path, "budget")?,
         focus: take(fields, path, "focus")?,
         tiles: take(fields, path, "tiles")?,
+        priority: take(fields, path, "priority")?,
     })
 }
 

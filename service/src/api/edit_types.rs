@@ -17,9 +17,10 @@ pub enum EditRequest {
 
 /// Several edits, applied in order, as a unit or not at all. An empty list lights what canceled jobs left undone.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
 pub struct EditList {
-    /// The edits. Where one carries a `budget`, `focus` or `tiles` of its own, the list's counts first, then the first
-    /// edit's.
+    /// The edits. Where one carries a `budget`, `focus`, `tiles` or `priority` of its own, the list's counts first, then
+    /// the first edit's.
     pub edits: Vec<SingleEdit>,
     /// When to stop.
     #[serde(default, skip_serializing_if = "Option::is_none")]

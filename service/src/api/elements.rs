@@ -22,7 +22,7 @@ pub(super) static VERSION: HeaderName = HeaderName::from_static("x-rebake-versio
         ("If-None-Match" = Option<String>, Header, description = "The `ETag` that the client has"),
     ),
     responses(
-        (status = 200, body = Vec<u8>, content_type = "application/octet-stream",
+        (status = 200, body = Vec<u8>, content_type = "application/octet-stream", description = "The elements",
             headers(("ETag" = String, description = "`elements_version` of the scene"),
                 ("X-Rebake-Version" = String, description = "Version of the light map these elements go with"))),
         (status = 304, description = "The client has them"),

@@ -132,6 +132,20 @@ pub(crate) fn text_header<'a>(headers: &'a HeaderMap, name: &HeaderName) -> ApiR
     value.to_str().map(Some).map_err(unreadable)
 }
 
+/// The first of some formats that `Accept` names by its media type; none where it names none of them.
+pub(crate) fn first_named<F: Copy, const N: usize>(
+    headers: &HeaderMap,
+    formats: [F; N],
+    content_type: impl Fn(F) -> &'static str,
+) -> Option<F> {
+    let lines = headers.get_all(header::ACCEPT).iter().filter_map(|line| line.to_str().ok());
+    let mut named = lines.flat_map(|line| line.split(',')).filter_map(|range| {
+        let essence = range.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
+        formats.into_iter().find(|format| content_type(*format) == essence)
+    });
+    named.next()
+}
+
 /// `If-Match` or `If-None-Match`.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum ETags {

@@ -12,13 +12,13 @@ use super::{Shared, require_serving};
 use crate::state::Phase;
 
 /// The process is alive.
-#[utoipa::path(get, path = "/healthz", tag = "service", operation_id = "alive", responses((status = 200, body = Health)))]
+#[utoipa::path(get, path = "/healthz", tag = "service", operation_id = "alive", responses((status = 200, body = Health, description = "It answers")))]
 pub(super) async fn alive() -> Json<Health> {
     Json(Health { status: "ok".to_owned() })
 }
 
 /// The service takes requests.
-#[utoipa::path(get, path = "/readyz", tag = "service", operation_id = "ready", responses((status = 200, body = Health)))]
+#[utoipa::path(get, path = "/readyz", tag = "service", operation_id = "ready", responses((status = 200, body = Health, description = "It takes work")))]
 pub(super) async fn ready(State(app): Shared) -> ApiResult<Json<Health>> {
     if *app.phase.borrow() == Phase::Restoring {
         let text = format!("{} scenes are back, others are to come", app.scenes.all().len());
@@ -36,7 +36,7 @@ const PROMETHEUS_TEXT: &str = "text/plain; version=0.0.4; charset=utf-8";
 /// Metrics for Prometheus, as OpenMetrics where that is accepted.
 #[utoipa::path(
     get, path = "/metrics", tag = "service", operation_id = "metrics",
-    responses((status = 200, content(
+    responses((status = 200, description = "Prometheus text", content(
         (String = "text/plain"),
         (String = "application/openmetrics-text")
     )))
@@ -53,7 +53,7 @@ pub(super) async fn metrics(State(app): Shared, headers: HeaderMap) -> ApiResult
 #[utoipa::path(
     get, path = "/problems/{slug}", tag = "service", operation_id = "describe_problem",
     params(("slug" = String, Path, description = "Last segment of a problem's `type`", example = "unknown-object")),
-    responses((status = 200, body = String, content_type = "text/plain"))
+    responses((status = 200, body = String, content_type = "text/plain", description = "What it means"))
 )]
 pub(super) async fn problem(ApiPath(slug): ApiPath<String>) -> ApiResult<String> {
     problem::describe(&slug)

@@ -59,7 +59,7 @@ pub(super) struct HistoryPage {
 #[utoipa::path(
     get, path = "/v1/scenes/{scene}/edits", tag = "edits", operation_id = "list_edits",
     params(("scene" = String, Path, description = "The scene's id"), ListQuery),
-    responses((status = 200, body = HistoryPage))
+    responses((status = 200, body = HistoryPage, description = "A page of edit requests"))
 )]
 pub(super) async fn list(
     State(app): Shared,

@@ -35,7 +35,7 @@ pub(super) struct ListQuery {
 /// Jobs, newest first. Finished ones are forgotten after a while.
 #[utoipa::path(
     get, path = "/v1/jobs", tag = "jobs", operation_id = "list_jobs", params(ListQuery),
-    responses((status = 200, body = JobPage))
+    responses((status = 200, body = JobPage, description = "A page of jobs"))
 )]
 pub(super) async fn list(State(app): Shared, ApiQuery(query): ApiQuery<ListQuery>) -> ApiResult<Json<JobPage>> {
     let page = Page::new(&app.config, query.limit, query.cursor.as_deref())?;
@@ -52,7 +52,7 @@ pub(super) async fn list(State(app): Shared, ApiQuery(query): ApiQuery<ListQuery
 #[utoipa::path(
     get, path = "/v1/jobs/{job}", tag = "jobs", operation_id = "get_job",
     params(("job" = String, Path, description = "The job's id")),
-    responses((status = 200, body = Job))
+    responses((status = 200, body = Job, description = "The job"))
 )]
 pub(super) async fn get(State(app): Shared, ApiPath(id): ApiPath<String>) -> ApiResult<Json<Job>> {
     let (_, job) = find(&app, &id)?;

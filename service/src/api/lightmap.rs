@@ -12,7 +12,7 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::coding::encode_body;
 use super::elements::VERSION;
-use super::extract::{ApiPath, ApiQuery, Coding, ETags};
+use super::extract::{ApiPath, ApiQuery, Coding, ETags, first_named};
 use super::layers;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::PartName;
@@ -43,12 +43,8 @@ impl Format {
 
     /// The first format that the client names; `raw` where it names none.
     fn accepted(headers: &HeaderMap) -> Format {
-        let lines = headers.get_all(header::ACCEPT).iter().filter_map(|line| line.to_str().ok());
-        let named = lines.flat_map(|line| line.split(',')).filter_map(|range| {
-            let essence = range.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
-            [Format::Exr, Format::Glb, Format::Raw].into_iter().find(|format| format.content_type() == essence)
-        });
-        named.into_iter().next().unwrap_or(Format::Raw)
+        let formats = [Format::Exr, Format::Glb, Format::Raw];
+        first_named(headers, formats, Format::content_type).unwrap_or(Format::Raw)
     }
 }
 

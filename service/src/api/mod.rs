@@ -1,6 +1,7 @@
 //! The HTTP API. Handlers unpack, call and wrap; what they call knows no HTTP.
 
 mod assets;
+mod between;
 mod coding;
 mod deltas;
 mod drain;
@@ -18,6 +19,7 @@ mod job_types;
 mod jobs;
 mod layers;
 mod lightmap;
+mod objects;
 mod openapi;
 mod paging;
 mod painter;
@@ -63,8 +65,11 @@ pub(crate) fn router(app: Arc<App>) -> Router {
         .route("/v1/scenes/{scene}", get(scenes::get).patch(scenes::patch).delete(scenes::delete))
         .route("/v1/scenes/{scene}/edits", post(edits::create).get(history::list))
         .route("/v1/scenes/{scene}/events", get(events::of_scene))
+        .route("/v1/scenes/{scene}/objects", get(objects::list))
+        .route("/v1/scenes/{scene}/objects/{object}", get(objects::get))
         .route("/v1/scenes/{scene}/lightmap", get(lightmap::get))
         .route("/v1/scenes/{scene}/lightmap/deltas", get(deltas::get))
+        .route("/v1/scenes/{scene}/lightmap/deltas/{versions}", get(between::get))
         .route("/v1/scenes/{scene}/elements", get(elements::get))
         .route("/v1/scenes/{scene}/render", get(render::get))
         .route("/v1/scenes/{scene}/sample", post(sample::create))

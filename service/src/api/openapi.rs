@@ -1,5 +1,9 @@
 //! The API's description, made from the code.
 
+mod shapes;
+#[cfg(test)]
+mod tests;
+
 use utoipa::OpenApi;
 use utoipa::openapi::content::ContentBuilder;
 use utoipa::openapi::path::Operation;
@@ -9,8 +13,8 @@ use utoipa::openapi::{Ref, RefOr};
 
 use super::problem::{self, Kind, ProblemDocument};
 use super::{
-    assets, deltas, edit_types, edits, elements, events, health, history, jobs, lightmap, render, sample, scenes,
-    types, uploads,
+    assets, between, deltas, edit_types, edits, elements, events, health, history, jobs, lightmap, objects, render,
+    sample, scenes, types, uploads,
 };
 
 #[derive(OpenApi)]
@@ -18,15 +22,16 @@ use super::{
     info(
         title = "rebake",
         description = "Keeps the light maps of scenes up to date while they are edited. Errors are problem documents (RFC 9457). Lists are paged by `limit` and `cursor`. The delta format is described in the documentation.",
-        license(name = "MIT OR Apache-2.0")
+        license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0")
     ),
     paths(
         uploads::create, scenes::list, scenes::get, scenes::patch, scenes::delete, assets::create, assets::list, assets::delete, edits::create,
         history::list,
         jobs::list, jobs::get, jobs::cancel, jobs::pause, jobs::resume, events::of_job, events::of_scene,
-        lightmap::get, deltas::get, elements::get, render::get, sample::create, health::alive, health::ready, health::metrics, health::problem, get
+        objects::list, objects::get, lightmap::get, deltas::get, between::get, elements::get, render::get, sample::create, health::alive, health::ready, health::metrics, health::problem, get
     ),
     components(schemas(ProblemDocument, types::SnapshotEvent, types::SceneEvent, types::SceneSummary, edit_types::EditRequest)),
+    servers((url = "/", description = "The service that tells this")),
     tags(
         (name = "scenes", description = "Geometry, materials, lights"),
         (name = "assets", description = "What can be inserted"),
@@ -45,16 +50,18 @@ pub fn document() -> utoipa::openapi::OpenApi {
     let bearer = bearer.description(Some("Where the service was started with a token file")).build();
     let components = document.components.get_or_insert_default();
     components.add_security_scheme("bearer", SecurityScheme::Http(bearer));
+    shapes::tag_unions(components);
     for item in document.paths.paths.values_mut() {
         for operation in [&mut item.get, &mut item.post, &mut item.patch, &mut item.delete].into_iter().flatten() {
             add_problems(operation);
+            shapes::mark_bytes(operation);
         }
     }
     document
 }
 
 /// This document.
-#[utoipa::path(get, path = "/openapi.json", tag = "service", operation_id = "openapi", responses((status = 200, body = Object)))]
+#[utoipa::path(get, path = "/openapi.json", tag = "service", operation_id = "openapi", responses((status = 200, body = Object, description = "OpenAPI 3.1")))]
 pub(super) async fn get() -> axum::Json<utoipa::openapi::OpenApi> {
     axum::Json(document())
 }
@@ -63,10 +70,11 @@ pub(super) async fn get() -> axum::Json<utoipa::openapi::OpenApi> {
 fn problems_of(operation: &str) -> &'static [Kind] {
     use Kind::{
         AssetNeeded, AssetNotFound, EditTooLarge, InvalidJson, InvalidQuery, InvalidValue, JobEnded, KeyReused,
-        MalformedFile, NameTaken, NoMemory, NotFound, NothingToTurn, PayloadTooLarge, PreconditionFailed, QueueFull,
-        Restoring, SceneDamaged, SceneTooLarge, ShuttingDown, Storage, Timeout, TooManyAssets, TooManyScenes,
-        TooManyStreams, TooManyUploads, UnknownAsset, UnknownCamera, UnknownJob, UnknownLight, UnknownMaterial,
-        UnknownObject, UnknownScene, UnsupportedFile, UnsupportedMediaType, VersionAhead, VersionForgotten,
+        MalformedFile, NameTaken, NoMemory, NotFound, NothingToTurn, ObjectNotFound, PayloadTooLarge,
+        PreconditionFailed, QueueFull, Restoring, SceneDamaged, SceneTooLarge, ShuttingDown, Storage, Timeout,
+        TooManyAssets, TooManyScenes, TooManyStreams, TooManyUploads, UnknownAsset, UnknownCamera, UnknownJob,
+        UnknownLight, UnknownMaterial, UnknownObject, UnknownScene, UnknownVersion, UnsupportedFile,
+        UnsupportedMediaType, VersionAhead, VersionForgotten,
     };
     match operation {
         "create_scene" => &[
@@ -143,8 +151,11 @@ fn problems_of(operation: &str) -> &'static [Kind] {
         "cancel_job" | "pause_job" | "resume_job" => &[UnknownJob, JobEnded, Storage],
         "job_events" => &[UnknownJob, TooManyStreams],
         "scene_events" => &[UnknownScene, SceneDamaged, TooManyStreams],
+        "list_objects" => &[InvalidQuery, UnknownScene, SceneDamaged],
+        "get_object" => &[InvalidQuery, UnknownScene, SceneDamaged, ObjectNotFound],
         "get_lightmap" => &[InvalidQuery, UnknownScene, SceneDamaged],
         "get_deltas" => &[InvalidQuery, UnknownScene, SceneDamaged, VersionAhead, TooManyStreams],
+        "get_delta_between" => &[UnknownScene, SceneDamaged, UnknownVersion, VersionForgotten],
         "get_elements" => &[UnknownScene, SceneDamaged],
         "render_scene" => &[InvalidQuery, UnknownScene, SceneDamaged, VersionForgotten],
         "sample_light" => &[
@@ -173,9 +184,9 @@ fn add_problems(operation: &mut Operation) {
         }
     };
     let own = problems_of(id);
-    if !is_open {
-        operation.security = Some(vec![SecurityRequirement::new("bearer", [""; 0])]);
-    }
+    // Where the service was started without tokens, none is needed.
+    let either = || vec![SecurityRequirement::new("bearer", [""; 0]), SecurityRequirement::default()];
+    operation.security = Some(if is_open { Vec::new() } else { either() });
     let mut by_status = std::collections::BTreeMap::<u16, Vec<String>>::new();
     for kind in own.iter().chain(always) {
         let (slug, status, _, about) = kind.row();

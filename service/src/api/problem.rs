@@ -100,7 +100,9 @@ impl IntoResponse for Problem {
             field: self.field,
         };
         let body = serde_json::to_vec(&document).unwrap_or_default();
-        let mut response = (status, [(header::CONTENT_TYPE, CONTENT_TYPE)], body).into_response();
+        // What is not there yet may be there soon: a cache would take a 404 or 410 for an answer that lasts.
+        let about = [(header::CONTENT_TYPE, CONTENT_TYPE), (header::CACHE_CONTROL, "no-store")];
+        let mut response = (status, about, body).into_response();
         if let Some(secs) = self.retry_after_secs {
             response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from(secs));
         }
@@ -135,6 +137,8 @@ kinds! {
     NotFound "not-found" NOT_FOUND "Not found" "There is nothing at this path.";
     UnknownScene "unknown-scene" NOT_FOUND "Unknown scene" "There is no such scene, or it was deleted.";
     AssetNotFound "asset-not-found" NOT_FOUND "Asset not found" "There is no such asset, or it was deleted.";
+    ObjectNotFound "object-not-found" NOT_FOUND "Object not found" "The scene has no object of that name.";
+    UnknownVersion "unknown-version" NOT_FOUND "Unknown version" "The light map has no such version yet.";
     UnknownJob "unknown-job" NOT_FOUND "Unknown job" "There is no such job, or it ended long ago and was forgotten.";
     MethodNotAllowed "method-not-allowed" METHOD_NOT_ALLOWED "Method not allowed" "The path exists, but not with this method; see the Allow header.";
     Timeout "request-timeout" REQUEST_TIMEOUT "Request timeout" "The body did not arrive in time.";
@@ -146,7 +150,7 @@ kinds! {
     TooManyAssets "too-many-assets" CONFLICT "Too many assets" "The service holds as many assets, or bytes of assets, as it may.";
     AssetNeeded "asset-needed" CONFLICT "Asset needed" "A scene, or its history, needs the asset; delete the scene first.";
     VersionAhead "version-ahead" CONFLICT "Version ahead" "The client's version is newer than the scene's: it belongs to something else. Start over from version 0.";
-    VersionForgotten "version-forgotten" GONE "Version forgotten" "The version that a change is to be shown against is not kept.";
+    VersionForgotten "version-forgotten" GONE "Version forgotten" "What is asked for needs a version, or a delta between versions, that is not kept any more.";
     PreconditionFailed "precondition-failed" PRECONDITION_FAILED "Precondition failed" "The scene has accepted other edits than If-Match names.";
     PayloadTooLarge "payload-too-large" PAYLOAD_TOO_LARGE "Payload too large" "The body is larger than the service takes.";
     SceneTooLarge "scene-too-large" PAYLOAD_TOO_LARGE "Scene too large" "The scene has more triangles, elements or other parts than the service takes.";

@@ -101,7 +101,7 @@ impl From<SamplePart> for Part {
     post, path = "/v1/scenes/{scene}/sample", tag = "light map", operation_id = "sample_light",
     params(("scene" = String, Path, description = "The scene's id")),
     request_body(content = SampleRequest, content_type = "application/json"),
-    responses((status = 200, body = Samples,
+    responses((status = 200, body = Samples, description = "Point by point",
         headers(("X-Rebake-Version" = String, description = "Version of the light map"))))
 )]
 pub(super) async fn create(

@@ -42,7 +42,7 @@ pub(super) struct ListQuery {
 /// All scenes, newest first.
 #[utoipa::path(
     get, path = "/v1/scenes", tag = "scenes", operation_id = "list_scenes", params(ListQuery),
-    responses((status = 200, body = types::ScenePage))
+    responses((status = 200, body = types::ScenePage, description = "A page of scenes"))
 )]
 pub(super) async fn list(
     State(app): Shared,
@@ -59,7 +59,7 @@ pub(super) async fn list(
 #[utoipa::path(
     get, path = "/v1/scenes/{scene}", tag = "scenes", operation_id = "get_scene",
     params(("scene" = String, Path, description = "The scene's id")),
-    responses((status = 200, body = types::Scene,
+    responses((status = 200, body = types::Scene, description = "The scene",
         headers(("ETag" = String, description = "The edits that were accepted so far (`accepted_edits`), for `If-Match`"))))
 )]
 pub(super) async fn get(State(app): Shared, ApiPath(id): ApiPath<String>) -> ApiResult<Response> {
@@ -201,15 +201,12 @@ fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::
         elements: world.slots() as u64,
         live_elements: world.element_count() as u64,
         triangles: world.triangle_count() as u64,
-        memory_bytes: (world.memory_bytes()
-            + published.memory_bytes()
-            + scene.drag.memory_bytes()
-            + scene.earlier.memory_bytes(&published.map)) as u64,
+        memory_bytes: (world.memory_bytes() + published.memory_bytes() + scene.aside_bytes(published)) as u64,
         estimated_rmse: published.estimated_rmse.and_then(finite),
         target: scene.target().map(to_target),
         accepted_edits: scene.accepted_edits(),
         unlit_edits: scene.unlit() as u64,
-        objects: published.objects().iter().map(types::Object::new).collect(),
+        objects: published.objects().iter().map(types::SceneObject::new).collect(),
         lights: world.lights().map(|info| light(&info, &published.map)).collect(),
         layers: published.layers.iter().map(layers::describe).collect(),
         cameras: world.scene.cameras.iter().zip(0..).map(camera).collect(),

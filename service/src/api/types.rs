@@ -110,7 +110,7 @@ pub struct Scene {
     pub unlit_edits: u64,
     /// The objects, in order. Their `albedo` is the mean of the file or of the last repaint; light meets at most
     /// `max_albedo`.
-    pub objects: Vec<Object>,
+    pub objects: Vec<SceneObject>,
     /// The lights, in order.
     pub lights: Vec<Light>,
     /// The layers of the light map: it is the sum of weight × layer. None before a light is relit or lights are
@@ -207,7 +207,7 @@ pub struct Bounds {
 
 /// An object: a glTF node with a mesh, the unit of an edit.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
-pub struct Object {
+pub struct SceneObject {
     /// Its index in `/elements`.
     pub index: u32,
     /// Its name.
@@ -238,9 +238,9 @@ pub struct Object {
     pub id: Option<String>,
 }
 
-impl Object {
-    pub(crate) fn new(object: &engine::ObjectSummary) -> Object {
-        Object {
+impl SceneObject {
+    pub(crate) fn new(object: &engine::ObjectSummary) -> SceneObject {
+        SceneObject {
             index: object.index,
             name: object.name.clone(),
             elements: ElementRange { first: object.first_element, count: object.elements },

@@ -37,6 +37,8 @@ With a service:
   rebake edit $ID --wait remove chair
   rebake render $ID -o room.png            a picture
   rebake pull $ID -o room.glb              the subdivided mesh with the light map as COLOR_0
+  rebake undo $ID --wait                   take the last edit back
+  rebake list                              what the service holds; info, jobs, assets tell more
 
 Exit status: 0 done, 1 failed, 2 wrong usage, 3 the service refused, 4 the job failed or was canceled, \
 130 interrupted.";
@@ -71,6 +73,22 @@ enum Command {
     Render(Box<render::RenderArgs>),
     /// Compare two pictures or light maps: RMSE, FLIP, a picture of the difference
     Compare(compare::CompareArgs),
+    /// List the scenes of a service
+    List(remote::ListArgs),
+    /// Tell what is in a scene: objects, lights, light map
+    Info(remote::InfoArgs),
+    /// List jobs, newest first
+    Jobs(remote::JobsArgs),
+    /// Cancel jobs; light maps stay at their last version
+    Cancel(remote::CancelArgs),
+    /// Take the last edit of a scene back
+    Undo(remote::TurnArgs),
+    /// Make the edit again that was taken back last
+    Redo(remote::TurnArgs),
+    /// Delete scenes, with their light maps and histories
+    Delete(remote::DeleteArgs),
+    /// List, upload and delete what can be inserted, and pictures of the sky
+    Assets(remote::AssetsArgs),
     /// Ask a service whether it takes work
     Health(remote::HealthArgs),
     /// Print the API description (OpenAPI, JSON)
@@ -108,6 +126,14 @@ pub(crate) fn run() -> ExitCode {
             Command::Pull(args) => remote::pull(args).await,
             Command::Render(args) => render::render(*args).await,
             Command::Compare(args) => compare::compare(&args),
+            Command::List(args) => remote::list(args).await,
+            Command::Info(args) => remote::info(args).await,
+            Command::Jobs(args) => remote::jobs(args).await,
+            Command::Cancel(args) => remote::cancel(args).await,
+            Command::Undo(args) => remote::turn(args, "undo").await,
+            Command::Redo(args) => remote::turn(args, "redo").await,
+            Command::Delete(args) => remote::delete(args).await,
+            Command::Assets(args) => remote::assets(args).await,
             Command::Health(args) => remote::health(args).await,
             Command::Openapi => ui::out(&serve::openapi_document()?),
         }
@@ -162,8 +188,22 @@ mod tests {
             "rebake watch s1 --until 7",
             "rebake pull s1 -o room.rbkd --layer indirect",
             "rebake render s1 -o now.png --view change --since 7 --scale 0.5 --size 1280x720 --spp 64",
-            "rebake render room.glb -o room.exr --eye 1,2,3 --target 0,1,-1 --fov-y 1 --exposure -1.5 --samples 64",
+            "rebake render room.glb -o room.exr --eye 1,2,3 --target 0,1,-1 --fov-y 50 --exposure -1.5 --samples 64",
             "rebake compare a.exr b.exr -o difference.png --crop 1,2,3,4 --crop 5,6,7,8 --json",
+            "rebake push room.glb --samples 64 --max-seconds 60 --target-rmse 0.01 --wait",
+            "rebake edit s1 --yes relight lamp --color 4,1,1",
+            "rebake edit s1 material sofa --albedo #aa3322",
+            "rebake list --json",
+            "rebake info s1 --server http://h:1",
+            "rebake jobs s1 --state running --json",
+            "rebake jobs",
+            "rebake cancel j1 j2 --wait",
+            "rebake undo s1 --wait --samples 16",
+            "rebake redo s1 --max-seconds 2",
+            "rebake delete s1 s2",
+            "rebake assets --json",
+            "rebake assets add chair.glb noon.hdr --server http://h:1",
+            "rebake assets delete abc",
             "rebake health",
             "rebake openapi",
         ] {
@@ -209,6 +249,16 @@ mod tests {
             "rebake render s1 -o room.png --size 0x3",
             "rebake render s1 -o room.png --eye 1,2,3",
             "rebake render s1 -o room.png --view sideways",
+            "rebake render s1 -o room.png --eye 1,2,3 --target 0,0,0 --fov-y 180",
+            "rebake push room.glb --samples 0",
+            "rebake info",
+            "rebake jobs --state done",
+            "rebake cancel",
+            "rebake delete",
+            "rebake undo",
+            "rebake undo s1 --target-rmse 0",
+            "rebake assets add",
+            "rebake assets delete",
         ] {
             assert!(parse(line.split(' ')).is_err(), "{line}");
         }

@@ -16,7 +16,7 @@ use super::bake::load_scene;
 use super::remote::{Replacement, ServerArgs, interruptible};
 use super::sky::SkyArgs;
 use super::ui;
-use super::values::{Point, positive};
+use super::values::{Point, field_of_view, positive};
 
 const AFTER_HELP: &str = "\
 What ends in .glb is a file: it is baked here, without a service. Anything else is the id of a scene of the service. \
@@ -77,8 +77,8 @@ struct Look {
     /// Upward [default: 0,1,0]
     #[arg(long, value_name = "X,Y,Z", requires = "eye", allow_hyphen_values = true)]
     up: Option<Point>,
-    /// Vertical field of view, radians [default: π/3]
-    #[arg(long, value_name = "RADIANS", requires = "eye")]
+    /// Vertical field of view [default: 60]
+    #[arg(long, value_name = "DEGREES", requires = "eye", value_parser = field_of_view)]
     fov_y: Option<f32>,
     /// Pixels across and down
     #[arg(long, value_name = "WxH", default_value = "640x360", value_parser = size)]
@@ -145,7 +145,8 @@ async fn render_remote(args: &RenderArgs) -> anyhow::Result<()> {
     let bytes = rebake::client::read_body(response, usize::MAX).await?;
     spinner.finish_and_clear();
     write(&args.output, &bytes)?;
-    let facts: String = facts.into_iter().filter_map(|(name, v)| Some(format!(", {name} {}", v?))).collect();
+    let round = |v: String| v.parse().map_or(v, ui::number);
+    let facts: String = facts.into_iter().filter_map(|(name, v)| Some(format!(", {name} {}", round(v?)))).collect();
     let time = ui::seconds(start.elapsed().as_secs_f64());
     ui::note(&format!("{}: version {version}{facts}, {time}", args.output.display()));
     Ok(())
@@ -186,7 +187,7 @@ impl RenderArgs {
             ("eye", look.eye.as_ref().map(point)),
             ("target", look.target.as_ref().map(point)),
             ("up", look.up.as_ref().map(point)),
-            ("fov_y", look.fov_y.map(|x| x.to_string())),
+            ("fov_y", look.fov_y.map(|degrees| degrees.to_radians().to_string())),
             ("exposure", look.exposure.map(|x| x.to_string())),
             ("scale", look.scale.map(|x| x.to_string())),
             ("since", self.since.map(|x| x.to_string())),
@@ -228,7 +229,8 @@ fn bake_and_draw(args: &RenderArgs) -> anyhow::Result<()> {
     let times = ((baked - start).as_secs_f64(), baked.elapsed().as_secs_f64());
     write(&args.output, &drawn.bytes)?;
     let facts = [("exposure", drawn.exposure), ("scale ±", drawn.scale)];
-    let facts: String = facts.into_iter().filter_map(|(name, v)| Some(format!(", {name} {}", v?))).collect();
+    let round = |v: f32| ui::number(f64::from(v));
+    let facts: String = facts.into_iter().filter_map(|(name, v)| Some(format!(", {name} {}", round(v?)))).collect();
     let (bake, picture) = (ui::seconds(times.0), ui::seconds(times.1));
     ui::note(&format!("{}: bake {bake}, picture {picture}{facts}", args.output.display()));
     Ok(())
@@ -257,7 +259,7 @@ impl Look {
         let point = |p: &Point| DVec3::from_array(p.0);
         if let (Some(eye), Some(target)) = (&self.eye, &self.target) {
             let up = self.up.as_ref().map_or(DVec3::Y, point);
-            let fov_y = self.fov_y.unwrap_or(std::f32::consts::FRAC_PI_3);
+            let fov_y = self.fov_y.map_or(std::f32::consts::FRAC_PI_3, f32::to_radians);
             return Viewpoint::new(point(eye), point(target), up, fov_y).map_err(|e| anyhow::anyhow!("--{e}"));
         }
         let cameras = &world.scene.cameras;

@@ -19,6 +19,16 @@ pub(super) fn note(line: &str) {
     let _ = writeln!(std::io::stderr().lock(), "{line}");
 }
 
+/// Asks the person who sits there; anything but yes is no.
+pub(super) fn confirm(question: &str) -> anyhow::Result<bool> {
+    let mut stderr = std::io::stderr().lock();
+    write!(stderr, "{question} [y/N] ")?;
+    stderr.flush()?;
+    let mut answer = String::new();
+    std::io::stdin().read_line(&mut answer)?;
+    Ok(["y", "yes"].contains(&answer.trim().to_lowercase().as_str()))
+}
+
 /// Whether a person sits in front of both input and output.
 pub(super) fn is_interactive() -> bool {
     std::io::stdin().is_terminal() && std::io::stdout().is_terminal()
@@ -91,6 +101,16 @@ pub(super) fn short(n: f64) -> String {
         _ => return format!("{n:.0}"),
     };
     format!("{}{prefix}", digits(n / scale))
+}
+
+/// Three significant digits, without zeros at the end: `0.05`, `2.5`, `1230`.
+pub(super) fn number(x: f64) -> String {
+    if x == 0.0 || !x.is_finite() {
+        return x.to_string();
+    }
+    let decimals = (2 - x.abs().log10().floor() as i32).clamp(0, 9) as usize;
+    let text = format!("{x:.decimals$}");
+    if decimals == 0 { text } else { text.trim_end_matches('0').trim_end_matches('.').to_owned() }
 }
 
 /// A size in bytes.
@@ -174,6 +194,10 @@ mod tests {
         assert_eq!(
             [0.123, 1.0, 99.0, 150.0, 7200.0].map(seconds),
             ["0.12 s", "1.00 s", "99.0 s", "2.50 min", "2.00 h"]
+        );
+        assert_eq!(
+            [0.0, 0.05, 2.5, 1.0, 1234.5, -0.33333, 1e-5, f64::INFINITY].map(number),
+            ["0", "0.05", "2.5", "1", "1234", "-0.333", "0.00001", "inf"]
         );
         assert_eq!([0.0, 0.01234, 0.00012, f64::NAN].map(rmse), ["0.0000", "0.0123", "1.2e-4", "–"]);
     }

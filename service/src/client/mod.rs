@@ -18,7 +18,8 @@ use std::time::Duration;
 
 use reqwest::{Method, RequestBuilder, Response, Url, header};
 use serde::de::DeserializeOwned;
-use types::{Asset, Job, NewScene, Scene};
+use serde_json::Value;
+use types::{Asset, Job, NewScene, Page, Scene};
 
 /// Longest answer that is read into memory.
 const MAX_BODY_BYTES: usize = 4 << 30;
@@ -113,6 +114,16 @@ impl Client {
         }
     }
 
+    /// All scenes, newest first, as the API tells them (`SceneSummary`).
+    pub async fn scenes(&self) -> Result<Vec<Value>, ClientError> {
+        self.all(&["v1", "scenes"], &[]).await
+    }
+
+    /// A scene as the API tells it.
+    pub async fn scene_json(&self, scene: &str) -> Result<Value, ClientError> {
+        self.json(self.request(Method::GET, &["v1", "scenes", scene], &[])?).await
+    }
+
     /// Deletes a scene.
     pub async fn delete_scene(&self, scene: &str) -> Result<(), ClientError> {
         self.send(self.request(Method::DELETE, &["v1", "scenes", scene], &[])?).await.map(drop)
@@ -131,9 +142,19 @@ impl Client {
         Ok(asset.asset)
     }
 
+    /// All assets, newest first, as the API tells them (`AssetSummary`).
+    pub async fn assets(&self) -> Result<Vec<Value>, ClientError> {
+        self.all(&["v1", "assets"], &[]).await
+    }
+
+    /// Deletes an asset that no scene needs.
+    pub async fn delete_asset(&self, asset: &str) -> Result<(), ClientError> {
+        self.send(self.request(Method::DELETE, &["v1", "assets", asset], &[])?).await.map(drop)
+    }
+
     /// Posts one edit, or several as `{"edits": [...]}`, as the API takes them
     /// (`openapi/openapi.json`).
-    pub async fn edit(&self, scene: &str, edit: &serde_json::Value, options: &EditOptions) -> Result<Job, ClientError> {
+    pub async fn edit(&self, scene: &str, edit: &Value, options: &EditOptions) -> Result<Job, ClientError> {
         let mut request = self
             .request(Method::POST, &["v1", "scenes", scene, "edits"], &[])?
             .header(header::CONTENT_TYPE, "application/json")
@@ -145,6 +166,14 @@ impl Client {
             request = request.header(header::IF_MATCH, format!("\"{accepted}\""));
         }
         self.json(request).await
+    }
+
+    /// Jobs, newest first, as the API tells them (`Job`): of one scene or all, in one state or any.
+    pub async fn jobs(&self, scene: Option<&str>, state: Option<&str>) -> Result<Vec<Value>, ClientError> {
+        let mut query: Vec<(&str, String)> = Vec::new();
+        query.extend(scene.map(|scene| ("scene", scene.to_owned())));
+        query.extend(state.map(|state| ("state", state.to_owned())));
+        self.all(&["v1", "jobs"], &query).await
     }
 
     /// A job.
@@ -251,6 +280,22 @@ impl Client {
         }
         let request = self.request(Method::GET, &["v1", "scenes", scene, "lightmap", "deltas"], &query)?;
         self.send(request).await
+    }
+
+    /// The items of all pages of a list.
+    async fn all(&self, path: &[&str], query: &[(&str, String)]) -> Result<Vec<Value>, ClientError> {
+        let mut items = Vec::new();
+        let mut cursor: Option<String> = None;
+        loop {
+            let mut query = query.to_vec();
+            query.extend(cursor.map(|cursor| ("cursor", cursor)));
+            let page: Page = self.json(self.request(Method::GET, path, &query)?).await?;
+            items.extend(page.items);
+            match page.next_cursor {
+                Some(next) => cursor = Some(next),
+                None => return Ok(items),
+            }
+        }
     }
 
     async fn events(&self, path: &[&str], last_event_id: Option<&str>) -> Result<EventStream, ClientError> {

@@ -27,6 +27,12 @@ pub struct NewScene {
     pub sun_angle: Option<f32>,
     /// `shared`, `each` or a JSON object of layers with their lights.
     pub layers: Option<String>,
+    /// What the scene works towards: samples per element …
+    pub samples_per_element: Option<u32>,
+    /// … seconds from the upload …
+    pub max_seconds: Option<f64>,
+    /// … stated error.
+    pub target_rmse: Option<f32>,
     /// `false`: upload only.
     pub bake: Option<bool>,
 }
@@ -45,6 +51,9 @@ impl NewScene {
             ("default_sky", self.default_sky.map(|is_wanted| is_wanted.to_string())),
             ("sun_angle", self.sun_angle.map(|degrees| degrees.to_string())),
             ("layers", self.layers.clone()),
+            ("samples_per_element", self.samples_per_element.map(|samples| samples.to_string())),
+            ("max_seconds", self.max_seconds.map(|seconds| seconds.to_string())),
+            ("target_rmse", self.target_rmse.map(|rmse| rmse.to_string())),
             ("bake", self.bake.map(|bake| bake.to_string())),
         ]
         .into_iter()
@@ -126,6 +135,13 @@ pub struct Light {
 #[derive(Clone, Debug, Deserialize)]
 pub(super) struct Asset {
     pub(super) asset: String,
+}
+
+/// One page of a list.
+#[derive(Debug, Deserialize)]
+pub(super) struct Page {
+    pub(super) items: Vec<serde_json::Value>,
+    pub(super) next_cursor: Option<String>,
 }
 
 pub use crate::jobs::queue::JobState;

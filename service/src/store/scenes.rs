@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 use jiff::Timestamp;
 use tokio::sync::watch;
 
+use super::deltas::KeptDeltas;
 use super::drag::Drag;
 use super::earlier::Earlier;
 use super::history::History;
@@ -36,6 +37,8 @@ pub(crate) struct SceneEntry {
     pub(crate) earlier: Earlier,
     /// What lights are dragged with.
     pub(crate) drag: Drag,
+    /// Between versions, for caches.
+    pub(crate) deltas: KeptDeltas,
     published: watch::Sender<Arc<Published>>,
     deleted: watch::Sender<bool>,
     /// No version above it may be given before more are reserved.
@@ -109,6 +112,7 @@ impl SceneEntry {
             lighting: Mutex::new(lighting),
             earlier: Earlier::default(),
             drag: Drag::default(),
+            deltas: KeptDeltas::default(),
             published: watch::Sender::new(Arc::new(published)),
             deleted: watch::Sender::new(false),
             reserved: AtomicU64::new(new.reserved),
@@ -171,6 +175,11 @@ impl SceneEntry {
 
     pub(crate) fn set_error(&self, error: Option<String>) {
         *self.error.lock().unwrap_or_else(PoisonError::into_inner) = error;
+    }
+
+    /// Bytes of what stands beside the world and the map: deltas, the transport of drags, earlier maps.
+    pub(crate) fn aside_bytes(&self, published: &Published) -> usize {
+        self.deltas.memory_bytes() + self.drag.memory_bytes() + self.earlier.memory_bytes(&published.map)
     }
 
     /// What clients see now.

@@ -283,6 +283,11 @@ impl Published {
         Some(self.layer(name)?.delta(self.mode.part(), since, self.version))
     }
 
+    /// Whether what changed since a version can be told.
+    pub(crate) fn knows(&self, version: u64) -> bool {
+        self.lineage.knows(version)
+    }
+
     /// What a client at version `since` lacks; everything where that is 0 or nothing is known of that version.
     pub(crate) fn delta(&self, since: u64) -> Frame {
         if since == 0 || !self.lineage.knows(since) {

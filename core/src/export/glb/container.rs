@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use ::gltf::json::{Value, serialize};
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 
 use crate::export::ExportError;
 
@@ -30,14 +30,16 @@ pub(super) struct Document {
     bin: Vec<u8>,
     accessors: Vec<Value>,
     views: Vec<Value>,
+    /// Where there are none, all nodes are the roots of one.
+    pub(super) scenes: Vec<Value>,
     pub(super) nodes: Vec<Value>,
     pub(super) meshes: Vec<Value>,
     pub(super) materials: Vec<Value>,
     pub(super) cameras: Vec<Value>,
     pub(super) lights: Vec<Value>,
     pub(super) has_emissive_strength: bool,
-    /// Numbers of a material (as bits) and whether it is double-sided, to its index.
-    pub(super) material_indices: BTreeMap<([u32; 8], bool), Value>,
+    /// Name and numbers of a material (as bits), and whether it is double-sided, to its index.
+    pub(super) material_indices: BTreeMap<(String, [u32; 8], bool), Value>,
 }
 
 impl Document {
@@ -55,6 +57,18 @@ impl Document {
             accessor.push(("min", numbers(bound(Vec3::min).to_array())));
             accessor.push(("max", numbers(bound(Vec3::max).to_array())));
         }
+        push(&mut self.accessors, object(accessor))
+    }
+
+    /// Texture coordinates.
+    pub(super) fn add_vec2(&mut self, values: &[Vec2]) -> Value {
+        let view = self.add_view(ARRAY_BUFFER, values.iter().flat_map(|value| value.to_array()).map(f32::to_le_bytes));
+        let accessor = [
+            ("bufferView", view),
+            ("componentType", FLOAT.into()),
+            ("count", values.len().into()),
+            ("type", "VEC2".into()),
+        ];
         push(&mut self.accessors, object(accessor))
     }
 
@@ -108,9 +122,12 @@ impl Document {
 
     fn into_json(self, bin_bytes: usize) -> Value {
         let asset = object([("version", "2.0".into()), ("generator", "rebake".into())]);
-        let roots: Vec<usize> = (0..self.nodes.len()).collect();
-        let scene = if roots.is_empty() { object([]) } else { object([("nodes", roots.into())]) };
-        let mut entries = vec![("asset", asset), ("scene", 0.into()), ("scenes", vec![scene].into())];
+        let scenes = match self.scenes.is_empty() {
+            false => self.scenes,
+            true if self.nodes.is_empty() => vec![object([])],
+            true => vec![object([("nodes", (0..self.nodes.len()).collect::<Vec<usize>>().into())])],
+        };
+        let mut entries = vec![("asset", asset), ("scene", 0.into()), ("scenes", scenes.into())];
         let mut extensions = Vec::new();
         if self.has_emissive_strength {
             extensions.push("KHR_materials_emissive_strength");

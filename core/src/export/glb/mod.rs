@@ -1,6 +1,7 @@
 //! Binary glTF: the subdivided meshes with their light map, and whole scenes.
 
 mod container;
+mod object;
 mod scene;
 #[cfg(test)]
 mod tests;
@@ -10,6 +11,7 @@ use std::collections::BTreeMap;
 use ::gltf::json::Value;
 use glam::{DVec3, Vec3};
 
+pub use self::object::{ObjectExport, write_object_glb};
 pub use self::scene::write_scene_glb;
 
 use self::container::{Document, numbers, object, push};
@@ -48,35 +50,40 @@ pub struct MeshExport<'a> {
 pub fn write_glb(meshes: &[MeshExport<'_>], origin: DVec3) -> Result<Vec<u8>, ExportError> {
     let mut document = Document::default();
     for mesh in meshes.iter().filter(|mesh| !mesh.triangles.is_empty()) {
-        check(mesh)?;
-        let attributes = object([
-            ("POSITION", document.add_vec3(mesh.positions, true)),
-            ("NORMAL", document.add_vec3(mesh.normals, false)),
-            ("COLOR_0", document.add_vec3(mesh.colors, false)),
-        ]);
-        let mut by_material: BTreeMap<u32, Vec<[u32; 3]>> = BTreeMap::new();
-        for (triangle, &material) in mesh.triangles.iter().zip(mesh.triangle_materials) {
-            by_material.entry(material).or_default().push(*triangle);
-        }
-        let mut primitives = Vec::with_capacity(by_material.len());
-        for (material, triangles) in by_material {
-            let opacity = mesh.opacities.get(material as usize).copied().unwrap_or(1.0);
-            let material = &mesh.materials[material as usize];
-            let emission = emission_parts(material.emission);
-            primitives.push(object([
-                ("attributes", attributes.clone()),
-                ("indices", document.add_indices(&triangles)),
-                ("material", add_material(&mut document, material, opacity, emission)),
-            ]));
-        }
-        let json = object([("name", mesh.name.into()), ("primitives", primitives.into())]);
-        let mut node = vec![("name", mesh.name.into()), ("mesh", push(&mut document.meshes, json))];
+        let mut node = vec![("name", mesh.name.into()), ("mesh", add_light_mesh(&mut document, mesh)?)];
         if origin != DVec3::ZERO {
             node.push(("translation", numbers(origin.as_vec3().to_array())));
         }
         document.nodes.push(object(node));
     }
     document.finish()
+}
+
+/// Adds a mesh with its light map as float `COLOR_0`.
+fn add_light_mesh(document: &mut Document, mesh: &MeshExport<'_>) -> Result<Value, ExportError> {
+    check(mesh)?;
+    let attributes = object([
+        ("POSITION", document.add_vec3(mesh.positions, true)),
+        ("NORMAL", document.add_vec3(mesh.normals, false)),
+        ("COLOR_0", document.add_vec3(mesh.colors, false)),
+    ]);
+    let mut by_material: BTreeMap<u32, Vec<[u32; 3]>> = BTreeMap::new();
+    for (triangle, &material) in mesh.triangles.iter().zip(mesh.triangle_materials) {
+        by_material.entry(material).or_default().push(*triangle);
+    }
+    let mut primitives = Vec::with_capacity(by_material.len());
+    for (material, triangles) in by_material {
+        let opacity = mesh.opacities.get(material as usize).copied().unwrap_or(1.0);
+        let material = &mesh.materials[material as usize];
+        let emission = emission_parts(material.emission);
+        primitives.push(object([
+            ("attributes", attributes.clone()),
+            ("indices", document.add_indices(&triangles)),
+            ("material", add_material(document, "", material, opacity, emission)),
+        ]));
+    }
+    let json = object([("name", mesh.name.into()), ("primitives", primitives.into())]);
+    Ok(push(&mut document.meshes, json))
 }
 
 fn check(mesh: &MeshExport<'_>) -> Result<(), ExportError> {
@@ -103,7 +110,14 @@ fn emission_parts(emission: Vec3) -> (Vec3, f32) {
 }
 
 /// Adds a diffuse material that emits `color × strength`. Of what lets light through the mean alone is written, as alpha.
-fn add_material(document: &mut Document, material: &Material, opacity: f32, (color, strength): (Vec3, f32)) -> Value {
+/// It is nameless where the name is empty.
+fn add_material(
+    document: &mut Document,
+    name: &str,
+    material: &Material,
+    opacity: f32,
+    (color, strength): (Vec3, f32),
+) -> Value {
     let [r, g, b] = material.albedo.to_array();
     let pbr = object([
         ("baseColorFactor", numbers([r, g, b, opacity])),
@@ -111,6 +125,9 @@ fn add_material(document: &mut Document, material: &Material, opacity: f32, (col
         ("roughnessFactor", 1.into()),
     ]);
     let mut json = vec![("pbrMetallicRoughness", pbr)];
+    if !name.is_empty() {
+        json.push(("name", name.into()));
+    }
     if opacity < 1.0 {
         json.push(("alphaMode", "BLEND".into()));
     }
@@ -127,7 +144,8 @@ fn add_material(document: &mut Document, material: &Material, opacity: f32, (col
     }
     // Objects share few materials; a file with thousands of equal ones is slow to open elsewhere.
     let [er, eg, eb] = color.to_array();
-    let key = ([r, g, b, opacity, er, eg, eb, strength].map(f32::to_bits), material.double_sided);
+    let numbers = [r, g, b, opacity, er, eg, eb, strength].map(f32::to_bits);
+    let key = (name.to_owned(), numbers, material.double_sided);
     let materials = &mut document.materials;
     document.material_indices.entry(key).or_insert_with(|| push(materials, object(json))).clone()
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use ::gltf::json::Value;
-use glam::{DMat4, DQuat, DVec3, Vec3};
+use glam::{DMat4, DQuat, DVec3, Vec2, Vec3};
 
 use super::container::{Document, numbers, object, push};
 use super::{add_material, emission_parts};
@@ -29,7 +29,7 @@ pub fn write_scene_glb(scene: &Scene) -> Result<Vec<u8>, ExportError> {
         }
     }
     for item in &scene.objects {
-        let mesh = add_mesh(&mut document, item, &emission)?;
+        let mesh = add_mesh(&mut document, item, &emission, false)?;
         let matrix = transform(item.world_from_object, &item.name)?;
         document.nodes.push(object([("name", item.name.as_str().into()), ("mesh", mesh)].into_iter().chain(matrix)));
     }
@@ -48,11 +48,13 @@ pub fn write_scene_glb(scene: &Scene) -> Result<Vec<u8>, ExportError> {
 }
 
 /// A primitive per material, and apart from it one for its flat triangles (those without normals). An object without
-/// triangles gets one without an area, which readers drop: a mesh has to have a primitive.
-fn add_mesh(
+/// triangles gets one without an area, which readers drop: a mesh has to have a primitive. `is_told`: with texture
+/// coordinates and the names of materials, which nothing else in the file refers to.
+pub(super) fn add_mesh(
     document: &mut Document,
     item: &Object,
     emission: &BTreeMap<(&str, u32), &Light>,
+    is_told: bool,
 ) -> Result<Value, ExportError> {
     let mesh = &*item.mesh;
     let vertices = mesh.positions.len();
@@ -75,6 +77,7 @@ fn add_mesh(
         groups.entry((material, triangle.iter().all(has_normal))).or_default().push(*triangle);
     }
     let positions = document.add_vec3(&mesh.positions, true);
+    let sets = if is_told { add_texcoords(document, &mesh.texcoords, vertices).ok_or_else(lists)? } else { Vec::new() };
     let mut normals = None;
     let mut primitives = Vec::with_capacity(groups.len());
     for ((material, is_smooth), triangles) in groups {
@@ -85,18 +88,31 @@ fn add_mesh(
             let add = || document.add_vec3(&mesh.normals.iter().map(valid).collect::<Vec<_>>(), false);
             attributes.push(("NORMAL", normals.get_or_insert_with(add).clone()));
         }
+        attributes.extend(["TEXCOORD_0", "TEXCOORD_1"].into_iter().zip(sets.iter().cloned()));
         let light = emission.get(&(item.name.as_str(), material));
         let parts = light.map_or((Vec3::ZERO, 1.0), |light| light_parts(light));
         let opacity = item.mean_opacity(material as usize);
+        let name = item.material_names.get(material as usize).filter(|_| is_told).map_or("", |name| &**name);
         let material = item.materials.get(material as usize).ok_or_else(lists)?;
         primitives.push(object([
             ("attributes", object(attributes)),
             ("indices", document.add_indices(&triangles)),
-            ("material", add_material(document, material, opacity, parts)),
+            ("material", add_material(document, name, material, opacity, parts)),
         ]));
     }
     let json = object([("name", item.name.as_str().into()), ("primitives", primitives.into())]);
     Ok(push(&mut document.meshes, json))
+}
+
+/// The sets of texture coordinates that there are; none where one does not fit. The first is zeros where there is only
+/// the second, since they are numbered from 0 without gaps.
+fn add_texcoords(document: &mut Document, sets: &[Vec<Vec2>; 2], vertices: usize) -> Option<Vec<Value>> {
+    let used = sets.iter().rposition(|set| !set.is_empty()).map_or(0, |last| last + 1);
+    let add = |set: &Vec<Vec2>| match set.len() {
+        0 => Some(document.add_vec2(&vec![Vec2::ZERO; vertices])),
+        len => (len == vertices).then(|| document.add_vec2(set)),
+    };
+    sets[..used].iter().map(add).collect()
 }
 
 /// Colour and intensity, kept apart as they are where the colour is a valid factor.
@@ -136,7 +152,7 @@ fn add_punctual(document: &mut Document, light: &Light) -> Result<(), ExportErro
 }
 
 /// The `matrix` of a node; none where it is the identity.
-fn transform(matrix: DMat4, name: &str) -> Result<Option<(&'static str, Value)>, ExportError> {
+pub(super) fn transform(matrix: DMat4, name: &str) -> Result<Option<(&'static str, Value)>, ExportError> {
     if !matrix.as_mat4().is_finite() {
         return Err(ExportError::NotFinite(name.to_owned()));
     }

@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
-use glam::{DMat4, DQuat, DVec3, Vec3};
+use glam::{DMat4, DQuat, DVec3, Vec2, Vec3};
 
 use super::*;
-use crate::scene::{AlphaMode, Camera, Light, LightKind, LoadLimits, Look, Mesh, Object, Scene, load};
+use crate::export::{ObjectExport, write_object_glb};
+use crate::scene::{AlphaMode, Camera, Light, LightKind, LoadLimits, Look, Mesh, NodeSource, Object, Scene, load};
 
 /// Numbers in 0..1 that repeat (SplitMix64).
 struct Random(u64);
@@ -212,4 +213,62 @@ fn panes_are_written_with_their_mean_opacity() {
     let read = load(&file, &LoadLimits::default()).unwrap();
     let look = read.objects[0].looks[0].as_ref().unwrap();
     assert_eq!((look.alpha_mode, look.alpha), (AlphaMode::Blend, 0.4));
+}
+
+/// The JSON of a binary glTF.
+fn document(file: &[u8]) -> Value {
+    let length = u32::from_le_bytes(file[12..16].try_into().unwrap()) as usize;
+    ::gltf::json::deserialize::from_slice(&file[20..20 + length]).unwrap()
+}
+
+#[test]
+fn an_object_is_written_as_the_file_has_it_beside_its_elements() {
+    let mut mesh = Mesh::quad(Vec3::ZERO, Vec3::X, Vec3::Y);
+    mesh.texcoords[1] = vec![Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y];
+    let cells = Mesh::icosphere(1.0, 1);
+    let place = DMat4::from_translation(DVec3::new(3.0, 0.5, -2.0));
+    let mut object = Object::new("Lamp / left", mesh, Material::emissive(Vec3::ONE)).placed(place);
+    object.material_names = vec!["bulb".into()];
+    object.node = Some(NodeSource { index: 7, id: Some("a81f".into()) });
+    let colors: Vec<Vec3> = (0..cells.positions.len()).map(|i| Vec3::splat(i as f32)).collect();
+    let materials = [Material::diffuse(Vec3::ONE)];
+    let scene = Scene::from_objects(vec![object.clone()]);
+    let with = |elements| ObjectExport {
+        object: &object,
+        lights: &scene.lights,
+        elements,
+        origin: DVec3::X,
+        first_element: 40,
+        with_back: true,
+    };
+    let file = write_object_glb(&with(export(&cells, &colors, &materials))).unwrap();
+    let read = &load(&file, &LoadLimits::default()).unwrap().objects;
+    assert_eq!((read.len(), &read[0].name, &*read[0].material_names[0]), (1, &object.name, "bulb"));
+    assert_eq!(read[0].mesh.positions, object.mesh.positions);
+    assert_eq!((read[0].mesh.triangles.clone(), read[0].world_from_object), (object.mesh.triangles.clone(), place));
+    assert_eq!(read[0].node.as_ref().unwrap().id.as_deref(), Some("a81f"));
+    let json = document(&file);
+    let primitive = &json["meshes"][0]["primitives"][0]["attributes"];
+    let (first, second) = (&primitive["TEXCOORD_0"], &primitive["TEXCOORD_1"]);
+    assert!(first.is_number() && second.is_number() && first != second, "{primitive}");
+    assert_eq!(json["materials"][0]["emissiveFactor"], numbers([1.0; 3]));
+    assert_eq!(json["scenes"][1]["name"], "elements");
+    let elements = &json["nodes"][1];
+    assert_eq!((&elements["extras"]["first_element"], &elements["extras"]["with_back"]), (&40.into(), &true.into()));
+    let bytes: Vec<u8> = colors.iter().flat_map(|color| color.to_array()).flat_map(f32::to_le_bytes).collect();
+    assert!(file.windows(bytes.len()).any(|window| window == bytes));
+    // Hidden: no elements.
+    let none = MeshExport { triangles: &[], triangle_materials: &[], ..export(&cells, &colors, &materials) };
+    assert_eq!(document(&write_object_glb(&with(none)).unwrap())["scenes"].as_array().unwrap().len(), 1);
+}
+
+#[test]
+fn texture_coordinates_that_do_not_fit_are_refused() {
+    let mut mesh = Mesh::quad(Vec3::ZERO, Vec3::X, Vec3::Y);
+    mesh.texcoords[0] = vec![Vec2::ZERO; 3];
+    let object = Object::new("Thing", mesh.clone(), Material::diffuse(Vec3::ONE));
+    let (colors, materials) = ([Vec3::ONE; 4], [Material::diffuse(Vec3::ONE)]);
+    let (elements, origin) = (export(&mesh, &colors, &materials), DVec3::ZERO);
+    let export = ObjectExport { object: &object, lights: &[], elements, origin, first_element: 0, with_back: false };
+    assert!(matches!(write_object_glb(&export), Err(ExportError::Lists(_))));
 }

@@ -5,11 +5,12 @@ use std::path::Path;
 
 use anyhow::Context;
 use rebake::client::EditOptions;
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use super::super::ui;
-use super::super::values::positive;
-use super::operation::{Operation, set};
+use super::super::values::Rgb;
+use super::budget::BudgetArgs;
+use super::operation::Operation;
 use super::{ServerArgs, interruptible, note_done, read_file, wait_for_job};
 
 const AFTER_HELP: &str = "\
@@ -37,15 +38,11 @@ pub(in super::super) struct EditArgs {
     /// Return when the light map is up to date
     #[arg(long)]
     wait: bool,
-    /// Budget: samples per element
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    samples: Option<u32>,
-    /// Budget: computing time
-    #[arg(long, value_name = "SECONDS", value_parser = positive)]
-    max_seconds: Option<f64>,
-    /// Budget: stop at this stated error (RMSE of radiance / albedo)
-    #[arg(long, value_name = "RMSE", value_parser = positive)]
-    target_rmse: Option<f64>,
+    #[command(flatten)]
+    budget: BudgetArgs,
+    /// Take colours of lights with channels above 1 as they are, without asking
+    #[arg(long)]
+    yes: bool,
     /// Refuse unless the scene has accepted exactly so many edits (`accepted_edits`, its ETag)
     #[arg(long, value_name = "EDITS")]
     if_match: Option<u64>,
@@ -61,17 +58,6 @@ impl EditArgs {
     pub(in super::super) fn is_twofold(&self) -> bool {
         self.json.is_some() && self.operation.is_some()
     }
-
-    /// Adds the budget to an edit or a list of edits.
-    fn with_budget(&self, mut edit: Value) -> Value {
-        let mut budget = json!({});
-        set(&mut budget, "samples_per_element", self.samples.map(|x| json!(x)));
-        set(&mut budget, "max_seconds", self.max_seconds.map(|x| json!(x)));
-        set(&mut budget, "target_rmse", self.target_rmse.map(|x| json!(x)));
-        let has_budget = budget.as_object().is_some_and(|fields| !fields.is_empty());
-        set(&mut edit, "budget", has_budget.then_some(budget));
-        edit
-    }
 }
 
 /// Posts an edit.
@@ -79,6 +65,9 @@ pub(in super::super) async fn edit(args: &EditArgs) -> anyhow::Result<()> {
     let client = args.server.client()?;
     let edit = match (&args.operation, &args.json) {
         (Some(operation), None) => {
+            if let Some(color) = operation.bright_color().filter(|_| !args.yes) {
+                confirm_color(color)?;
+            }
             let uploaded = match operation.asset_file() {
                 Some(path) => {
                     let glb = read_file(&path)?;
@@ -92,13 +81,27 @@ pub(in super::super) async fn edit(args: &EditArgs) -> anyhow::Result<()> {
         _ => anyhow::bail!("give either an operation or --json"),
     };
     let options = EditOptions { idempotency_key: args.idempotency_key.clone(), if_match: args.if_match };
-    let edit = args.with_budget(edit);
+    let edit = args.budget.add_to(edit);
     let job = interruptible(async { Ok(client.edit(&args.scene, &edit, &options).await?) }, "").await?;
     ui::out(&job.id)?;
     if args.wait {
         let wait = wait_for_job(&client, &job);
         note_done(&interruptible(wait, ": the update goes on at the service").await?);
     }
+    Ok(())
+}
+
+/// A channel above 1 makes a light brighter than its intensity says: seldom meant, often 8-bit values.
+fn confirm_color(color: Rgb) -> anyhow::Result<()> {
+    let Rgb([r, g, b]) = color;
+    let told = format!(
+        "--color {r},{g},{b}: channels are linear factors of the intensity, usually 0 to 1; 8-bit sRGB values are \
+         written #rrggbb"
+    );
+    if !ui::is_interactive() {
+        anyhow::bail!("{told}; --yes takes it as it is");
+    }
+    anyhow::ensure!(ui::confirm(&format!("{told}. Take it as it is?"))?, "nothing was changed");
     Ok(())
 }
 
@@ -118,6 +121,7 @@ fn read_json(path: &str) -> anyhow::Result<Value> {
 #[cfg(test)]
 mod tests {
     use clap::Parser;
+    use serde_json::json;
 
     use super::*;
 
@@ -130,7 +134,7 @@ mod tests {
     fn json_of(line: &str) -> Value {
         let args = Alone::try_parse_from(["edit", "s"].into_iter().chain(line.split(' '))).expect(line).edit;
         let operation = args.operation.as_ref().expect("an operation");
-        args.with_budget(operation.json(operation.asset_file().map(|_| "hash".to_owned())))
+        args.budget.add_to(operation.json(operation.asset_file().map(|_| "hash".to_owned())))
     }
 
     #[test]
@@ -190,6 +194,22 @@ mod tests {
             json_of("--samples 8 --target-rmse 0.5 remove a"),
             json!({"op": "remove", "objects": ["a"], "budget": {"samples_per_element": 8, "target_rmse": 0.5}})
         );
+    }
+
+    #[test]
+    fn a_colour_above_1_is_told_from_one_that_is_not() {
+        let bright = |line: &str| {
+            let args = Alone::try_parse_from(["edit", "s"].into_iter().chain(line.split(' '))).expect(line).edit;
+            args.operation.as_ref().and_then(Operation::bright_color)
+        };
+        assert_eq!(bright("relight lamp --color 255,200,150"), Some(Rgb([255.0, 200.0, 150.0])));
+        assert_eq!(
+            bright("insert-light l --kind environment --color 0,1.5,0 --intensity 1"),
+            Some(Rgb([0.0, 1.5, 0.0]))
+        );
+        for fine in ["relight lamp --color 1,0.5,0", "relight lamp --intensity 9", "sky --radiance 9,9,9", "undo"] {
+            assert_eq!(bright(fine), None, "{fine}");
+        }
     }
 
     #[test]

@@ -1,12 +1,17 @@
-//! Commands that talk to a service: push, edit, watch, pull.
+//! Commands that talk to a service.
 
+mod budget;
+mod change;
 mod edit;
+mod look;
 mod operation;
 mod pull;
 mod push;
 mod watch;
 
+pub(super) use change::{AssetsArgs, CancelArgs, DeleteArgs, TurnArgs, assets, cancel, delete, turn};
 pub(super) use edit::{EditArgs, edit};
+pub(super) use look::{InfoArgs, JobsArgs, ListArgs, info, jobs, list};
 pub(super) use pull::{PullArgs, Replacement, pull};
 pub(super) use push::{PushArgs, push};
 pub(super) use watch::{ProgressFeed, WatchArgs, watch};

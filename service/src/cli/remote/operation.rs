@@ -42,7 +42,7 @@ pub(super) enum Operation {
         /// Name of the material in the file
         #[arg(long)]
         material: Option<String>,
-        /// Diffuse albedo, linear RGB
+        /// Diffuse albedo: linear RGB, or 8-bit sRGB as #rrggbb
         #[arg(long, value_name = "R,G,B", value_parser = albedo)]
         albedo: Rgb,
     },
@@ -67,7 +67,7 @@ pub(super) enum Operation {
     Relight {
         /// Name of the light
         light: String,
-        /// Linear RGB
+        /// Linear RGB, or 8-bit sRGB as #rrggbb
         #[arg(long, value_name = "R,G,B")]
         color: Option<Rgb>,
         /// Factor of the colour
@@ -150,7 +150,7 @@ pub(super) struct NewLight {
     /// Point, spot: its light ends here [default: never]
     #[arg(long, value_name = "METRES", value_parser = positive)]
     range: Option<f64>,
-    /// Linear RGB
+    /// Linear RGB, or 8-bit sRGB as #rrggbb
     #[arg(long, value_name = "R,G,B", default_value = "1")]
     color: Rgb,
     /// Candela (point, spot), lux (directional) or radiance (environment)
@@ -201,6 +201,16 @@ impl Operation {
             }
             _ => None,
         }
+    }
+
+    /// The colour of a light, where a channel is above 1.
+    pub(super) fn bright_color(&self) -> Option<Rgb> {
+        let color = match self {
+            Operation::Relight { color, .. } => *color,
+            Operation::InsertLight(new) => Some(new.color),
+            _ => None,
+        };
+        color.filter(|Rgb(channels)| channels.iter().any(|channel| *channel > 1.0))
     }
 
     /// The edit as the API takes it (`openapi/openapi.json`); `uploaded` is the id of [`Operation::asset_file`].

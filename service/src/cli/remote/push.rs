@@ -7,6 +7,7 @@ use rebake::client::types::{NewScene, Scene};
 use super::super::sky::SkyArgs;
 use super::super::ui;
 use super::super::values::positive;
+use super::budget::BudgetArgs;
 use super::{ServerArgs, interruptible, note_done, read_file, wait_for_job};
 
 const AFTER_HELP: &str = "\
@@ -38,6 +39,8 @@ pub(in super::super) struct PushArgs {
     /// e.g. '{"ceiling": ["lamp-1", "lamp-2"]}' [default: shared]
     #[arg(long, value_name = "shared|each|JSON")]
     layers: Option<String>,
+    #[command(flatten)]
+    budget: BudgetArgs,
     /// Upload only
     #[arg(long, conflicts_with = "wait")]
     no_bake: bool,
@@ -68,6 +71,9 @@ pub(in super::super) async fn push(args: PushArgs) -> anyhow::Result<()> {
         default_sky: args.sky.default_sky.then_some(true),
         sun_angle: args.sky.sun_angle,
         layers: args.layers,
+        samples_per_element: args.budget.samples,
+        max_seconds: args.budget.max_seconds,
+        target_rmse: args.budget.target_rmse.map(|rmse| rmse as f32),
         bake: args.no_bake.then_some(false),
     };
     let spinner = ui::spinner("upload");

@@ -1,0 +1,122 @@
+//! What changed between two versions, for caches: it never changes.
+
+use std::sync::Arc;
+
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
+use rebake_core::delta;
+
+use super::coding::encode_body;
+use super::elements::VERSION;
+use super::extract::{ApiPath, Coding, ETags};
+use super::problem::{ApiResult, Kind, Problem};
+use super::{Shared, find_scene};
+use crate::store::scenes::SceneEntry;
+use crate::store::versions::Published;
+
+/// Deltas that are kept take this many times the bytes of the map's values.
+const KEPT_MAPS: usize = 4;
+
+/// What changed from one version to another, as one frame of full precision; from version 0 it is the whole map, and
+/// between equal versions it is empty. The answer never changes, so that caches may keep it for good. It is made while
+/// `to` is the scene's present version; one from another version than 0 is kept for a while after. Where it is not kept
+/// any more (410), ask for the one to the present version.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene}/lightmap/deltas/{from}-{to}", tag = "light map", operation_id = "get_delta_between",
+    params(
+        ("scene" = String, Path, description = "The scene's id"),
+        ("from" = u64, Path, description = "The version that the client has; 0 for nothing", example = 3),
+        ("to" = u64, Path, description = "The version that it wants", example = 7),
+        ("If-None-Match" = Option<String>, Header, description = "The `ETag` that the client has"),
+    ),
+    responses(
+        (status = 200, body = Vec<u8>, content_type = "application/vnd.rebake.delta", description = "One frame, or none",
+            headers(
+                ("Cache-Control" = String, description = "A year, `immutable`; `private` where the service asks for tokens"),
+                ("ETag" = String, description = "Both versions, and the coding"),
+                ("X-Rebake-Version" = String, description = "`to`"),
+            )),
+        (status = 304, description = "The client has it"),
+    )
+)]
+pub(super) async fn get(
+    State(app): Shared,
+    ApiPath((id, versions)): ApiPath<(String, String)>,
+    headers: HeaderMap,
+) -> ApiResult<Response> {
+    let scene = find_scene(&app, &id).await?;
+    let (from, to) = read_versions(&versions)?;
+    let found = find(&scene, from, to)?;
+    let coding = Coding::accepted(&headers);
+    // A strong tag is one of bytes: each coding has its own.
+    let tag = coding.header_value().map_or_else(|| versions.clone(), |coding| format!("{versions}-{coding}"));
+    // What needs a token is nothing for a cache that others share.
+    let caches = if app.config.tokens.is_some() { "private" } else { "public" };
+    let about = [
+        (header::ETAG, format!("\"{tag}\"")),
+        (header::CACHE_CONTROL, format!("{caches}, max-age=31536000, immutable")),
+        (VERSION.clone(), to.to_string()),
+        (header::VARY, "accept-encoding".to_owned()),
+    ];
+    if ETags::from_header(&headers, &header::IF_NONE_MATCH)?.is_some_and(|tags| tags.matches_weakly(&tag)) {
+        return Ok((StatusCode::NOT_MODIFIED, about).into_response());
+    }
+    let encode = move || {
+        let frame = match found {
+            Found::Kept(frame) => frame,
+            Found::Present(published) => make(&scene, &published, from),
+        };
+        encode_body(coding, frame)
+    };
+    let body = app.compute.answer(encode).await?.map_err(Problem::internal)?;
+    app.metrics.delta_bytes.inc_by(body.len() as u64);
+    Ok((about, [(header::CONTENT_TYPE, delta::CONTENT_TYPE)], coding.headers(), body).into_response())
+}
+
+/// Where a delta comes from.
+enum Found {
+    /// It was made before.
+    Kept(Bytes),
+    /// From the present map.
+    Present(Arc<Published>),
+}
+
+fn find(scene: &SceneEntry, from: u64, to: u64) -> ApiResult<Found> {
+    let published = scene.published();
+    let present = published.version;
+    if to > present {
+        let text = format!("{from}-{to}: the light map is at version {present}, not yet at {to}");
+        return Err(Problem::new(Kind::UnknownVersion, text));
+    }
+    // Lost in a crash: no client had it, or it starts over.
+    let is_known = published.knows(from) && published.knows(to);
+    if is_known && from == to {
+        return Ok(Found::Kept(Bytes::new()));
+    }
+    if is_known && to == present {
+        return Ok(Found::Present(published));
+    }
+    let kept = scene.deltas.find((from, to)).filter(|_| is_known);
+    let text = || format!("{from}-{to}: not kept any more; the light map is at version {present}");
+    kept.map(Found::Kept).ok_or_else(|| Problem::new(Kind::VersionForgotten, text()))
+}
+
+fn make(scene: &SceneEntry, published: &Published, from: u64) -> Bytes {
+    // Whole maps would push out what changes between them, and who has nothing asks for the newest as well.
+    if from == 0 {
+        return published.delta(0).encode().into();
+    }
+    let most_bytes = KEPT_MAPS * size_of_val(published.values());
+    let encode = || published.delta(from).encode().into();
+    scene.deltas.find_or_make((from, published.version), most_bytes, encode)
+}
+
+/// One spelling of each pair: caches take another for something else.
+fn read_versions(text: &str) -> ApiResult<(u64, u64)> {
+    let parsed = text.split_once('-').and_then(|(from, to)| Some((from.parse::<u64>().ok()?, to.parse::<u64>().ok()?)));
+    let parsed = parsed.filter(|(from, to)| from <= to && format!("{from}-{to}") == text);
+    let text = || format!("{text:?} is not {{from}}-{{to}}, two versions of which the first is not above the second");
+    parsed.ok_or_else(|| Problem::new(Kind::BadRequest, text()))
+}

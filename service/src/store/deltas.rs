@@ -1,0 +1,100 @@
+//! Deltas between two versions, kept for a while after they were first asked for: caches in front of thousands of
+//! clients ask for the same ones, some of them when the map has moved on.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+
+use bytes::Bytes;
+
+/// Deltas kept per scene, however small.
+const KEPT: usize = 32;
+
+/// The last deltas of a scene that were asked for.
+#[derive(Default)]
+pub(crate) struct KeptDeltas(Mutex<VecDeque<Kept>>);
+
+/// A delta, as one frame. It is made once, however many ask for it at the same time.
+struct Kept {
+    versions: (u64, u64),
+    frame: Arc<OnceLock<Bytes>>,
+}
+
+impl Kept {
+    fn bytes(&self) -> usize {
+        self.frame.get().map_or(0, Bytes::len)
+    }
+}
+
+impl KeptDeltas {
+    fn lock(&self) -> MutexGuard<'_, VecDeque<Kept>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The delta from one version to another, where it was made before.
+    pub(crate) fn find(&self, versions: (u64, u64)) -> Option<Bytes> {
+        let kept = self.lock();
+        kept.iter().find(|kept| kept.versions == versions)?.frame.get().cloned()
+    }
+
+    /// The same, made by `encode` where it was not. All that is kept takes `most_bytes`, or is this one alone.
+    pub(crate) fn find_or_make(
+        &self,
+        versions: (u64, u64),
+        most_bytes: usize,
+        encode: impl FnOnce() -> Bytes,
+    ) -> Bytes {
+        let frame = {
+            let mut kept = self.lock();
+            let known = kept.iter().find(|kept| kept.versions == versions).map(|kept| kept.frame.clone());
+            known.unwrap_or_else(|| {
+                let frame = Arc::<OnceLock<Bytes>>::default();
+                kept.push_back(Kept { versions, frame: frame.clone() });
+                frame
+            })
+        };
+        // Not under the lock: it takes milliseconds.
+        let bytes = frame.get_or_init(encode).clone();
+        self.forget(most_bytes);
+        bytes
+    }
+
+    /// Drops the oldest until the others are few enough.
+    fn forget(&self, most_bytes: usize) {
+        let mut kept = self.lock();
+        let mut bytes: usize = kept.iter().map(Kept::bytes).sum();
+        while kept.len() > KEPT || (kept.len() > 1 && bytes > most_bytes) {
+            let Some(oldest) = kept.pop_front() else { return };
+            bytes -= oldest.bytes();
+        }
+    }
+
+    /// Bytes of what is kept.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        self.lock().iter().map(Kept::bytes).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_delta_is_made_once_and_the_oldest_goes_first() {
+        let kept = KeptDeltas::default();
+        let make = |versions, bytes: usize| kept.find_or_make(versions, 100, || vec![7; bytes].into());
+        assert_eq!((kept.find((1, 2)), kept.memory_bytes()), (None, 0));
+        assert_eq!(make((1, 2), 60).len(), 60);
+        let again = kept.find_or_make((1, 2), 100, || unreachable!("it is there"));
+        assert_eq!((again.len(), kept.find((1, 2)).map(|bytes| bytes.len())), (60, Some(60)));
+        make((0, 2), 30);
+        assert_eq!(kept.memory_bytes(), 90);
+        make((2, 3), 20);
+        assert_eq!((kept.find((1, 2)), kept.memory_bytes()), (None, 50), "the oldest made room");
+        assert_eq!(make((0, 3), 1000).len(), 1000, "too large to be kept beside others");
+        assert_eq!(kept.memory_bytes(), 1000);
+        for version in 0..2 * KEPT as u64 {
+            make((version, version + 1), 1);
+        }
+        assert_eq!(kept.memory_bytes(), KEPT);
+    }
+}
