@@ -19,7 +19,7 @@ pub struct Light {
     /// Linear RGB factor.
     pub color: Vec3,
     /// Scalar factor: radiance (emissive, environment), candela (point, spot), lux (directional), or a factor on a picture
-    /// (sky).
+    /// (sky). An emissive texture multiplies the radiance by place ([`super::Look::emissive`]).
     pub intensity: f32,
 }
 

@@ -3,6 +3,7 @@
 
 mod build;
 mod corners;
+mod facets;
 mod place;
 mod see_through;
 #[cfg(test)]
@@ -14,6 +15,7 @@ pub use self::build::{DEFAULT_ELEMENTS, default_spacing, object_area};
 
 pub(crate) use self::build::{barycentrics, triangle_area};
 pub(crate) use self::corners::Corners;
+pub(crate) use self::facets::{Facet, Facets, facet_area};
 pub(crate) use self::place::{moved_normals, moved_points};
 pub(crate) use self::see_through::SeeThrough;
 pub(crate) use self::weld::{MIN_COSINE, geometric_normal};
