@@ -118,6 +118,7 @@ mod tests {
             spacing: 0.1,
             environment: None,
             outside: StoredOutside::default(),
+            unit: Default::default(),
             max_albedo: None,
             target: None,
             groups: Default::default(),
