@@ -25,9 +25,11 @@ pub mod server;
 pub mod sheet;
 mod state;
 mod store;
+mod unit;
 pub mod viewer;
 
 pub use config::Config;
 pub use mode::Mode;
 pub use server::{run, run_while};
 pub use store::faults;
+pub use unit::LightUnit;

@@ -24,6 +24,7 @@ use crate::store::lighting::{Lighting, Sequence, Unlit, unknown_of_saved};
 use crate::store::records::{JobRecord, LightRecord, SceneRecord, StoredOutside};
 use crate::store::scenes::{Head, IdempotencyKeys, NewScene, SceneEntry, SceneState};
 use crate::store::versions::{Published, RESERVE};
+use crate::unit::LightUnit;
 
 /// Takes in all that was saved, and starts the jobs that were open.
 pub(crate) fn restore(app: &Arc<App>, disk: &Disk, saved: Saved) {
@@ -146,6 +147,7 @@ fn note_assets(app: &App, saved: &SavedScene) {
 fn build(app: &App, glb: &[u8], record: &SceneRecord) -> Result<World, StoreError> {
     let unreadable = |error: &dyn std::fmt::Display| StoreError::damaged("the upload cannot be read any more", error);
     let mut scene = engine::load_again(glb, record.max_albedo).map_err(|error| unreadable(&error))?;
+    record.unit.convert(&mut scene);
     let outside = skies::outside(record.environment, &record.outside, &app.assets);
     outside.map_err(|problem| unreadable(&problem))?.add_to(&mut scene);
     scene.groups = record.groups.clone();
@@ -251,6 +253,7 @@ fn damaged(app: &App, saved: &SavedScene, error: &StoreError) -> SceneEntry {
         object_squares: None,
         environment: None,
         outside: StoredOutside::default(),
+        unit: LightUnit::default(),
         max_albedo: None,
         groups: BTreeMap::new(),
         target: None,
@@ -356,6 +359,7 @@ mod tests {
                 object_squares: None,
                 environment: None,
                 outside: StoredOutside::default(),
+                unit: LightUnit::default(),
                 groups: BTreeMap::new(),
                 max_albedo: None,
                 target: None,

@@ -153,6 +153,7 @@ async fn what_is_wrong_with_a_sky_is_named() {
         (format!("sky={sky}&sky_strength=-1"), 400, "invalid-query", "sky_strength"),
         ("sky_strength=1".to_owned(), 400, "invalid-query", "sky_strength"),
         ("sun_angle=180".to_owned(), 400, "invalid-query", "sun_angle"),
+        ("unit=lumen".to_owned(), 400, "invalid-query", "unit"),
         ("sky=abc".to_owned(), 422, "unknown-asset", "sky"),
         (format!("sky={model}"), 422, "invalid-value", "sky"),
     ] {
@@ -167,4 +168,42 @@ async fn what_is_wrong_with_a_sky_is_named() {
         post(&server, kind, file).await.problem(status, slug);
     }
     server.stop().await;
+}
+
+/// Watts are of the file that says so, and stay so over a restart; lux and radiance are what they are.
+#[tokio::test]
+async fn lamps_may_be_in_watts() {
+    let directory = fast_directory();
+    let server = start(directory.path()).await;
+    let mut glb = Glb::default();
+    glb.quads("panel", &[[[0.0, 3.0, 0.0], [2.0, 3.0, 0.0], [2.0, 3.0, 2.0], [0.0, 3.0, 2.0]]], 0.5, 2.0);
+    glb.point_light("bulb", [1.0, 1.0, 1.0], 100.0);
+    let mut scenes = Vec::new();
+    for (query, intensity) in
+        [("", 100.0), ("&unit=candela", 100.0), ("&unit=watt", 100.0 / (4.0 * std::f64::consts::PI))]
+    {
+        let path = format!("/v1/scenes?spacing=0.5&bake=false{query}");
+        scenes.push((path_of(&server.post_glb(&path, glb.bytes()).await.json(201)), intensity));
+    }
+    let intensities = async |server: &Server, scene: &str| {
+        let scene = server.get(scene).await.json(200);
+        let of = |name: &str| {
+            let lights = scene["lights"].as_array().unwrap().iter();
+            lights
+                .filter(|light| light["name"] == name)
+                .map(|light| light["intensity"].as_f64().unwrap())
+                .next()
+                .unwrap()
+        };
+        [of("bulb"), of("panel")]
+    };
+    let check = async |server: &Server| {
+        for (scene, intensity) in &scenes {
+            let [bulb, panel] = intensities(server, scene).await;
+            assert!((bulb - intensity).abs() < 1e-5 * intensity && panel == 2.0, "{bulb} and {panel}");
+        }
+    };
+    check(&server).await;
+    server.stop().await;
+    check(&start(directory.path()).await).await;
 }

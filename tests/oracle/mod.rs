@@ -11,6 +11,7 @@ mod paper;
 mod path;
 mod plates;
 mod scenes;
+mod screens;
 mod see_through;
 mod skies;
 mod stated;

@@ -84,14 +84,14 @@ impl Piece {
             // Both copies drawn from either side would show one side's light on the other.
             piece.materials.iter_mut().for_each(|material| material.double_sided = false);
         }
-        // The radiance in force is that of the light, not of the upload.
+        // The radiance in force is that of the light, not of the upload; of a texture the mean is written.
         for (number, material) in piece.materials.iter_mut().enumerate() {
             let of_this = |kind: &LightKind| {
                 matches!(kind, LightKind::Emissive { object: o, material: m }
                     if *o == object.name && *m as usize == number)
             };
             let light = world.scene.lights.iter().find(|l| of_this(&l.kind));
-            material.emission = light.map_or(Vec3::ZERO, |l| l.strength());
+            material.emission = light.map_or(Vec3::ZERO, |l| l.strength() * object.mean_emission(number));
         }
         piece
     }

@@ -52,7 +52,7 @@ impl ObjectScene<'_> {
             return Vec3::ZERO;
         }
         *rays += 1;
-        let light = emitter.strength * emitter.tint(sample.direction) * (sample.weight * sample.share);
+        let light = emitter.strength * sample.tint * sample.weight;
         self.without.transmittance(&segment) * hidden * light
     }
 

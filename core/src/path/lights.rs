@@ -100,17 +100,16 @@ impl<'a> Lights<'a> {
         }
         let emitter = &self.world.emitters.list[index as usize];
         let Shape::Surface { triangles, double_sided, .. } = &emitter.shape else { return Vec3::ZERO };
+        let face = hit.triangle - self.first_faces[index as usize];
+        let Some((tint, known)) = emitter.met(hit, face) else { return Vec3::ZERO };
         if hit.normal.dot(ray.direction) >= 0.0 && !double_sided {
             return Vec3::ZERO;
         }
-        let which = || {
-            let face = hit.triangle - self.first_faces[index as usize];
-            triangles.binary_search_by_key(&face, |triangle| triangle.face).ok()
-        };
+        let which = || known.or_else(|| triangles.binary_search_by_key(&face, |triangle| triangle.face).ok());
         let pdf = emitter.pdf(ray, hit, which);
         // No light sample can come from where the density is zero: the hit counts in full.
         let part = if pdf > 0.0 { share(index, n.dot(ray.direction) * FRAC_1_PI / pdf) } else { 1.0 };
-        emitter.strength * part
+        emitter.strength * tint * part
     }
 }
 

@@ -1,5 +1,7 @@
 //! What a camera ray sees.
 
+use std::collections::BTreeMap;
+
 use glam::Vec3;
 
 use super::camera::Rays;
@@ -8,10 +10,11 @@ use crate::bvh::{Hit, Ray};
 use crate::lightmap::{LightMap, LightPart};
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
-use crate::scene::{LightKind, Passage};
+use crate::scene::{LightKind, Object, Passage, TextureUse};
+use crate::surface::Corners;
 use crate::transport::direct::one_light;
 use crate::transport::{Field, Rough, Surfel};
-use crate::world::{Emitters, World, visible_light};
+use crate::world::{Emitters, Placed, World, visible_light};
 
 /// Backs that a camera ray passes through at most.
 const MAX_BACKS: u32 = 64;
@@ -26,19 +29,29 @@ const MAX_LIGHTS: usize = 32;
 pub(super) struct Shading<'a> {
     world: &'a World,
     view: View,
-    /// Per part: emitted radiance.
+    /// Per part: emitted radiance …
     emission: Vec<Vec3>,
+    /// … and by what a texture multiplies it by place.
+    pictures: BTreeMap<u32, Picture<'a>>,
     /// Direct + indirect, as it is delivered; empty where no view needs it.
     totals: Vec<Vec3>,
     /// Indirect light, as it is delivered; empty where no view needs it.
     indirect: Vec<Vec3>,
 }
 
+/// An emissive texture where it is shown.
+struct Picture<'a> {
+    texture: &'a TextureUse,
+    object: &'a Object,
+    placed: &'a Placed,
+}
+
 impl<'a> Shading<'a> {
     pub(super) fn new(world: &'a World, map: &LightMap, view: View) -> Shading<'a> {
         let part = |part| if view == View::Direct { Vec::new() } else { world.delivered(map, part) };
         let (totals, indirect) = (part(LightPart::Full), part(LightPart::Indirect));
-        Shading { world, view, emission: emission_of_parts(world), totals, indirect }
+        let (emission, pictures) = emission_of_parts(world);
+        Shading { world, view, emission, pictures, totals, indirect }
     }
 
     /// Mean radiance of a pixel.
@@ -85,7 +98,10 @@ impl<'a> Shading<'a> {
     /// What a surface sends along the ray that met it.
     fn surface(&self, ray: &Ray, hit: &Hit, k: u32, sequences: &[R2], rng: &mut Pcg32) -> Vec3 {
         let Some(surfel) = Surfel::to_look_up(self.world, ray, hit, &mut 0) else { return Vec3::ZERO };
-        let emission = self.emission[surfel.part as usize];
+        let mut emission = self.emission[surfel.part as usize];
+        if let Some(picture) = self.pictures.get(&surfel.part).filter(|_| emission != Vec3::ZERO) {
+            emission *= picture.at(hit);
+        }
         match self.view {
             View::Full => {
                 emission + surfel.albedo * (self.direct(&surfel, k, sequences, rng) + self.indirect(&surfel, rng))
@@ -175,15 +191,32 @@ pub(super) fn smooth_normal(world: &World, surfel: &Surfel) -> Vec3 {
     if n.dot(surfel.normal) > 0.1 { n } else { surfel.normal }
 }
 
-/// Per part: the radiance of its light.
-fn emission_of_parts(world: &World) -> Vec<Vec3> {
+impl Picture<'_> {
+    /// The texel that a ray met, linear RGB.
+    fn at(&self, hit: &Hit) -> Vec3 {
+        let Placed { surface, placement, .. } = self.placed;
+        let corners = Corners::new(&self.object.mesh, surface, hit.triangle - placement.faces.start);
+        let texcoord = corners.texcoord(self.texture.texcoord, [1.0 - hit.u - hit.v, hit.u, hit.v]);
+        self.texture.texel(texcoord).color
+    }
+}
+
+/// Per part: the radiance of its light, and the texture that it has.
+fn emission_of_parts(world: &World) -> (Vec<Vec3>, BTreeMap<u32, Picture<'_>>) {
     let mut emission = vec![Vec3::ZERO; world.space.parts().len()];
+    let mut pictures = BTreeMap::new();
     for light in &world.scene.lights {
         let LightKind::Emissive { object, material } = &light.kind else { continue };
         let Some(index) = world.scene.objects.iter().position(|o| o.name == *object) else { continue };
-        if let Some(slot) = emission.get_mut((world.placed[index].placement.parts.start + material) as usize) {
+        let (object, placed) = (&world.scene.objects[index], &*world.placed[index]);
+        let part = placed.placement.parts.start + material;
+        if let Some(slot) = emission.get_mut(part as usize) {
             *slot = light.strength();
         }
+        let look = object.looks.get(*material as usize).and_then(Option::as_deref);
+        if let Some(texture) = look.and_then(|look| look.emissive.as_ref()) {
+            pictures.insert(part, Picture { texture, object, placed });
+        }
     }
-    emission
+    (emission, pictures)
 }

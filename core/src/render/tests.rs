@@ -1,11 +1,12 @@
 use std::f32::consts::{FRAC_1_PI, PI};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Mat2, Vec2, Vec3};
 
 use super::*;
 use crate::job::Unobserved;
-use crate::scene::{Light, LightKind, Material, Mesh, Object, Scene};
+use crate::scene::{AlphaUse, Light, LightKind, Look, Material, Mesh, Object, Scene, Texture, TextureUse, Wrap};
 use crate::{Edit, WorldOptions};
 
 const ALBEDO: Vec3 = Vec3::new(0.6, 0.4, 0.2);
@@ -93,6 +94,30 @@ fn a_square_lamp_lights_the_floor_by_its_form_factor() {
     let viewpoint = Viewpoint::new(DVec3::new(0.0, 1.0, 0.0), DVec3::new(0.0, 2.0, 0.0), DVec3::X, 0.1).unwrap();
     let picture = render(&world, &map, &viewpoint, View::Direct, &options, &Unobserved).unwrap();
     assert_close(picture.pixels[0], radiance, 1e-4);
+}
+
+/// A floor that shines red on the left and blue on the right.
+fn two_colors() -> Object {
+    let mut floor = floor_at(0.0);
+    let mesh = Arc::make_mut(&mut floor.mesh);
+    mesh.texcoords[1] = mesh.positions.iter().map(|p| Vec2::new(p.x + 2.0, p.z + 2.0) / 4.0).collect();
+    floor.materials[0].emission = Vec3::new(5.0, 4.0, 3.0);
+    let texture = Arc::new(Texture::new(2, 1, &[255, 0, 0, 255, 0, 0, 255, 255], AlphaUse::Ignored, 16));
+    let linear = Mat2::IDENTITY;
+    let emissive = TextureUse { texture, texcoord: 1, linear, offset: Vec2::ZERO, wrap: [Wrap::Repeat; 2] };
+    floor.looks = vec![Some(Arc::new(Look { emissive: Some(emissive), ..Look::plain(ALBEDO) }))];
+    floor
+}
+
+#[test]
+fn emissive_textures_are_seen_by_place() {
+    let world = world(vec![two_colors()], vec![]);
+    let options = options(24, 16, 1);
+    let picture = shot(&world, &LightMap::black(world.slots()), View::Full, &options);
+    for (i, pixel) in picture.pixels.iter().enumerate() {
+        let is_left = floor_point(i % 24, i / 24, &options).x < 0.0;
+        assert_close(*pixel, if is_left { Vec3::X * 5.0 } else { Vec3::Z * 3.0 }, 1e-4);
+    }
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use super::SkyPicture;
+use super::{Scene, SkyPicture};
 
 /// Name of the light from outside.
 pub const ENVIRONMENT: &str = "environment";
@@ -19,7 +19,7 @@ pub struct Light {
     /// Linear RGB factor.
     pub color: Vec3,
     /// Scalar factor: radiance (emissive, environment), candela (point, spot), lux (directional), or a factor on a picture
-    /// (sky).
+    /// (sky). An emissive texture multiplies the radiance by place ([`super::Look::emissive`]).
     pub intensity: f32,
 }
 
@@ -82,5 +82,18 @@ impl Light {
     /// `color × intensity`.
     pub fn strength(&self) -> Vec3 {
         self.color * self.intensity
+    }
+}
+
+impl Scene {
+    /// Takes the intensities of point and spot lights for the power, in watts, that they would send out into all directions
+    /// together, as Blender has them: what they send into a steradian is 1 / 4π of it, also within the cone of a spot.
+    /// Directional lights (W/m²) and emissive surfaces (W/(m² sr)) stay as they are.
+    pub fn lamps_in_watts(&mut self) {
+        for light in &mut self.lights {
+            if matches!(light.kind, LightKind::Point { .. } | LightKind::Spot { .. }) {
+                light.intensity = (f64::from(light.intensity) / (4.0 * std::f64::consts::PI)) as f32;
+            }
+        }
     }
 }

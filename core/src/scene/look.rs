@@ -1,6 +1,6 @@
 //! What of a material varies from place to place, and what lets light through.
 
-use glam::{Vec2, Vec3, Vec4};
+use glam::{DVec3, Vec2, Vec3, Vec4};
 
 use super::{Object, TextureMean, TextureUse};
 
@@ -19,7 +19,8 @@ pub struct Look {
     pub base_color: Option<TextureUse>,
     /// An edit has painted over the colour: of texture and vertex colours only alpha counts, and what goes through.
     pub is_painted: bool,
-    /// Emissive factor times strength, radiance.
+    /// Emissive factor times strength, radiance, at upload. What is in force is the strength of the [`super::Light`] of this
+    /// material.
     pub emission: Vec3,
     /// Emissive texture.
     pub emissive: Option<TextureUse>,
@@ -172,20 +173,58 @@ impl Object {
     pub fn mean_opacity(&self, material: usize) -> f32 {
         let look = self.looks.get(material).and_then(Option::as_deref);
         let Some(look) = look.filter(|look| look.may_let_light_through()) else { return 1.0 };
-        let mesh = &*self.mesh;
         let set = look.base_color.as_ref().map_or(0, |texture| texture.texcoord);
         let (mut sum, mut total) = (0.0, 0.0);
-        let of_material = mesh.triangles.iter().zip(&mesh.triangle_materials).filter(|(_, m)| **m as usize == material);
-        for (triangle, _) in of_material {
-            let corners = triangle.map(|vertex| vertex as usize);
-            let [a, b, c] = corners.map(|vertex| mesh.positions[vertex].as_dvec3());
-            let texcoord = |vertex: usize| mesh.texcoords.get(set)?.get(vertex).copied();
-            let texcoords = corners.map(|vertex| texcoord(vertex).unwrap_or(Vec2::NAN));
-            let alphas = corners.map(|vertex| mesh.colors.get(vertex).map_or(1.0, |color| color.w));
-            let area = (b - a).cross(c - a).length();
-            sum += area * f64::from(look.mean_opacity_over(texcoords, alphas));
+        for corners in self.triangles_of(material) {
+            let alphas = corners.map(|vertex| self.mesh.colors.get(vertex).map_or(1.0, |color| color.w));
+            let area = self.double_area(corners);
+            sum += area * f64::from(look.mean_opacity_over(self.texcoords(set, corners), alphas));
             total += area;
         }
         if total > 0.0 { (sum / total) as f32 } else { 1.0 }
+    }
+
+    /// Mean over what an object has of a material of the emissive texture, linear RGB, each in 0..=1: one where there is
+    /// none. The light of this material shines by as much less than its strength.
+    pub fn mean_emission(&self, material: usize) -> Vec3 {
+        let Some(texture) = self.emissive_texture(material) else { return Vec3::ONE };
+        let (mut sum, mut total) = (DVec3::ZERO, 0.0);
+        for corners in self.triangles_of(material) {
+            let area = self.double_area(corners);
+            sum += area * texture.mean_over(self.texcoords(texture.texcoord, corners)).color.as_dvec3();
+            total += area;
+        }
+        if total > 0.0 { (sum / total).as_vec3() } else { texture.texture.mean().color }
+    }
+
+    /// Whether the emissive texture of a material is not black all over the object; also where there is none.
+    pub(crate) fn shines(&self, material: usize) -> bool {
+        self.emissive_texture(material).is_none_or(|texture| {
+            let color = |corners| texture.mean_over(self.texcoords(texture.texcoord, corners)).color;
+            self.triangles_of(material).any(|corners| color(corners) != Vec3::ZERO)
+        })
+    }
+
+    fn emissive_texture(&self, material: usize) -> Option<&TextureUse> {
+        self.looks.get(material)?.as_ref()?.emissive.as_ref()
+    }
+
+    /// Vertices of the triangles of a material.
+    fn triangles_of(&self, material: usize) -> impl Iterator<Item = [usize; 3]> + '_ {
+        let triangles = self.mesh.triangles.iter().zip(&self.mesh.triangle_materials);
+        let of_material = triangles.filter(move |(_, m)| **m as usize == material);
+        of_material.map(|(triangle, _)| triangle.map(|vertex| vertex as usize))
+    }
+
+    /// Of one set; not a number where the mesh has none.
+    fn texcoords(&self, set: usize, corners: [usize; 3]) -> [Vec2; 3] {
+        let texcoords = self.mesh.texcoords.get(set);
+        corners.map(|vertex| texcoords.and_then(|set| set.get(vertex)).copied().unwrap_or(Vec2::NAN))
+    }
+
+    /// In the space of the mesh.
+    fn double_area(&self, corners: [usize; 3]) -> f64 {
+        let [a, b, c] = corners.map(|vertex| self.mesh.positions[vertex].as_dvec3());
+        (b - a).cross(c - a).length()
     }
 }

@@ -130,7 +130,8 @@ pub struct Material {
     /// Diffuse albedo, linear RGB, each in 0..=1: the mean over the material's textures. Light meets at most what its
     /// world allows ([`crate::WorldOptions::max_albedo`]).
     pub albedo: Vec3,
-    /// Emitted radiance at upload, linear RGB. The radiance in force is the strength of the [`Light`] of this material.
+    /// Emitted radiance at upload, linear RGB; an emissive texture multiplies it by place ([`Look::emissive`]). The radiance in
+    /// force is the strength of the [`Light`] of this material.
     pub emission: Vec3,
     /// Both sides reflect (and emit). The back of a single-sided surface blocks light and reflects none.
     pub double_sided: bool,

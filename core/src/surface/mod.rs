@@ -4,6 +4,7 @@
 mod build;
 mod corners;
 mod density;
+mod facets;
 mod place;
 mod see_through;
 #[cfg(test)]
@@ -16,6 +17,7 @@ pub use self::density::{DEFAULT_SQUARES, Density};
 
 pub(crate) use self::build::{barycentrics, triangle_area};
 pub(crate) use self::corners::Corners;
+pub(crate) use self::facets::{Facet, Facets, facet_area};
 pub(crate) use self::place::{moved_normals, moved_points};
 pub(crate) use self::see_through::SeeThrough;
 pub(crate) use self::weld::{MIN_COSINE, geometric_normal};

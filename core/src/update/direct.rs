@@ -125,8 +125,8 @@ impl<'a> DirectChange<'a> {
                 continue;
             }
             *rays += 1;
-            let arriving = self.transition.common.transmittance(&ray) * emitter.tint(sample.direction);
-            sum += (after - before) * arriving * (sample.weight * sample.share);
+            let arriving = self.transition.common.transmittance(&ray) * sample.tint;
+            sum += (after - before) * arriving * sample.weight;
         }
         sum / count as f32
     }

@@ -247,6 +247,7 @@ impl Draft {
             key: old.key,
             surface,
             see_through: old.see_through.clone(),
+            facets: old.facets.clone(),
             layout: Arc::clone(&old.layout),
             coarse: Arc::clone(&old.coarse),
             placement: old.placement.clone(),

@@ -19,7 +19,7 @@ pub(crate) fn arriving(
     *rays += 1;
     let end = sample.end(point);
     let left = trees.transmittance_between(point, sample.direction, sample.distance, end);
-    Some((sample.weight, left * emitter.tint(sample.direction) * sample.share))
+    Some((sample.weight, left * sample.tint))
 }
 
 /// Contribution to irradiance / π of one sample of an emitter, linear RGB; black where it is hidden.

@@ -12,7 +12,7 @@ use super::{Coarse, Emitters, Placed, Resolution, Trees, Validity, World, WorldE
 use crate::bvh::{BuildQuality, Bvh};
 use crate::scene::{Object, Scene};
 use crate::space::{Albedo, Albedos, Elements, Layout, Space};
-use crate::surface::{Density, SeeThrough, Surface, object_area};
+use crate::surface::{Density, Facet, Facets, SeeThrough, Surface, facet_area, object_area};
 
 /// Edge of the cells that smooth light is evaluated in, in units of [`Resolution::smooth`].
 pub(crate) const COARSE_RADIUS: f32 = 2.5;
@@ -97,6 +97,7 @@ pub(super) fn scene_from_object(scene: &Scene, object: &Object) -> DMat4 {
 pub(super) struct Ready {
     pub surface: Arc<Surface>,
     pub see_through: Option<Arc<SeeThrough>>,
+    pub facets: Vec<Option<Arc<Facets>>>,
     pub layout: Arc<Layout>,
     pub coarse: Arc<Coarse>,
     pub elements: Elements,
@@ -115,14 +116,14 @@ impl Ready {
         let to_scene = scene_from_object(scene, object);
         let surface = Surface::build(object, to_scene).map_err(error)?;
         let see_through = SeeThrough::of(object, &surface, to_scene);
-        let (layout, elements) =
-            Layout::new(&surface, resolution.density.of_object(object_area(object)), options.max_elements)
-                .map_err(error)?;
+        let spacing = resolution.density.of_object(object_area(object));
+        let facets = Facets::of_materials(object, &surface, resolution.density.spacing);
+        let (layout, elements) = Layout::new(&surface, spacing, options.max_elements).map_err(error)?;
         let Elements { positions, normals, areas } = &elements;
         let albedos = Albedos::new(object, &surface, &layout, areas, options.max_albedo);
         let coarse = Coarse::new(positions, normals, areas, COARSE_RADIUS * resolution.smooth);
         let (surface, layout, coarse) = (Arc::new(surface), Arc::new(layout), Arc::new(coarse));
-        Ok(Ready { surface, see_through, layout, coarse, elements, albedos })
+        Ok(Ready { surface, see_through, facets, layout, coarse, elements, albedos })
     }
 
     /// One that is placed, as it was before it had slots.
@@ -130,6 +131,7 @@ impl Ready {
         Ready {
             surface: Arc::clone(&placed.surface),
             see_through: placed.see_through.clone(),
+            facets: placed.facets.clone(),
             layout: Arc::clone(&placed.layout),
             coarse: Arc::clone(&placed.coarse),
             elements: world.space.elements_of(&placed.placement, &placed.layout),
@@ -139,12 +141,12 @@ impl Ready {
 
     /// Gives it slots.
     pub(super) fn place(self, space: &mut Space, object: &Object, key: u32, with_back: bool) -> Placed {
-        let Ready { surface, see_through, layout, coarse, elements, albedos } = self;
+        let Ready { surface, see_through, facets, layout, coarse, elements, albedos } = self;
         let materials = albedos.of_materials.into_iter().zip(object.materials.iter().map(|m| m.double_sided));
         let placement =
             space.place((&surface, &layout, &elements), albedos.by_place.as_ref(), materials, key, with_back);
         let reach = elements.reach();
-        Placed { key, surface, see_through, layout, coarse, placement, with_back, reach }
+        Placed { key, surface, see_through, facets, layout, coarse, placement, with_back, reach }
     }
 }
 
@@ -223,8 +225,13 @@ impl World {
             let index = self.scene.objects.iter().position(|o| o.name == name)?;
             let (object, placed) = (&self.scene.objects[index], &self.placed[index]);
             let double_sided = object.materials.get(material as usize)?.double_sided;
-            let triangles = emissive_triangles(&placed.surface, material);
-            Some(Emissive { key: placed.key, triangles, double_sided, see_through: placed.see_through.clone() })
+            let facets = placed.facets.get(material as usize).cloned().flatten();
+            let triangles = match &facets {
+                Some(facets) => facets.list().iter().map(|facet| of_facet(&placed.surface, facet)).collect(),
+                None => emissive_triangles(&placed.surface, material),
+            };
+            let see_through = placed.see_through.clone();
+            Some(Emissive { key: placed.key, triangles, facets, double_sided, see_through })
         })
     }
 }
@@ -233,6 +240,15 @@ impl World {
 fn emissive_triangles(surface: &Surface, material: u32) -> Vec<EmissiveTriangle> {
     let of_material = (0..surface.triangles.len()).filter(|&t| surface.triangle_materials[t] == material);
     of_material.filter_map(|t| EmissiveTriangle::new(t as u32, surface.corners(t))).collect()
+}
+
+/// A facet as a triangle. What has no area is never chosen.
+fn of_facet(surface: &Surface, facet: &Facet) -> EmissiveTriangle {
+    let whole = surface.corners(facet.face as usize);
+    let [a, b, c] = whole;
+    let corners = facet.corners.map(|corner| a + (b - a) * corner.x + (c - a) * corner.y);
+    let (normal, area) = ((b - a).cross(c - a).normalize_or_zero(), facet_area(surface, facet));
+    EmissiveTriangle { face: facet.face, corners, normal, area: if normal == Vec3::ZERO { 0.0 } else { area } }
 }
 
 impl EmissiveTriangle {

@@ -71,9 +71,9 @@ impl Emitter {
         }
         strength
             * match &self.shape {
-                Shape::Surface { low, high, area, .. } => {
+                Shape::Surface { low, high, area, brightness, .. } => {
                     let distance2 = (point.clamp(*low, *high) - point).length_squared();
-                    if distance2 * HALF_SPACE > *area { area / distance2 } else { HALF_SPACE }
+                    brightness * if distance2 * HALF_SPACE > *area { area / distance2 } else { HALF_SPACE }
                 }
                 Shape::Point { position, .. } => {
                     // Inverse square law; the specification's window only takes from it.

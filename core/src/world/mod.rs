@@ -46,7 +46,7 @@ use rayon::prelude::*;
 use crate::chunks::Chunks;
 use crate::scene::{DEFAULT_MAX_ALBEDO, Scene};
 use crate::space::{Layout, Placement, Space};
-use crate::surface::{Density, SeeThrough, Surface, SurfaceError};
+use crate::surface::{Density, Facets, SeeThrough, Surface, SurfaceError};
 
 /// Limits and resolution of a world.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -142,6 +142,8 @@ pub(crate) struct Placed {
     pub surface: Arc<Surface>,
     /// Its triangles that let light through, where there are any.
     pub see_through: Option<Arc<SeeThrough>>,
+    /// Per material, where its emission varies: what shines. Empty where none does.
+    pub facets: Vec<Option<Arc<Facets>>>,
     /// How its elements are laid out.
     pub layout: Arc<Layout>,
     /// Subset for smooth light, over the front's elements.
@@ -284,7 +286,8 @@ impl World {
     pub fn memory_bytes(&self) -> usize {
         let of_object = |p: &Arc<Placed>| {
             let see_through = p.see_through.as_ref().map_or(0, |see_through| see_through.memory_bytes());
-            p.surface.memory_bytes() + p.layout.memory_bytes() + p.coarse.memory_bytes() + see_through
+            let facets: usize = p.facets.iter().flatten().map(|facets| facets.memory_bytes()).sum();
+            p.surface.memory_bytes() + p.layout.memory_bytes() + p.coarse.memory_bytes() + see_through + facets
         };
         let objects: usize = self.placed.iter().map(of_object).sum();
         let sight: usize = self.sight.values().map(|hidden| hidden.memory_bytes()).sum();

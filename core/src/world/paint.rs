@@ -71,8 +71,8 @@ impl Draft {
     fn paint_over(&mut self, index: usize, is_painted: impl Fn(usize) -> bool) -> Result<(), EditError> {
         let mut object = Object::clone(&self.world.scene.objects[index]);
         for (_, look) in object.looks.iter_mut().enumerate().filter(|(k, _)| is_painted(*k)) {
-            // What goes through stays as it was.
-            let kept = look.take().filter(|look| look.may_let_light_through());
+            // What goes through and what shines stays as it was.
+            let kept = look.take().filter(|look| look.may_let_light_through() || look.emissive.is_some());
             *look = kept.map(|look| Arc::new(Look { is_painted: true, ..(*look).clone() }));
         }
         if object.looks.iter().all(Option::is_none) {

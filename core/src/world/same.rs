@@ -54,6 +54,7 @@ impl World {
             && materials == other_materials
             && parts().all(|(a, b)| a.reflects_like(b))
             && a.see_through == b.see_through
+            && a.facets == b.facets
             && self.has_surface_of(a, b)
             && self.has_elements_of(a, other, b)
     }

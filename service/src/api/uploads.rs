@@ -34,6 +34,7 @@ use crate::store::layers::LAYER_BYTES;
 use crate::store::records::{SceneRecord, StoredOutside};
 use crate::store::scenes::{NewScene, Reservation, SceneEntry, SceneState};
 use crate::store::versions::{FIRST_RESERVE, Published};
+use crate::unit::LightUnit;
 
 /// Media types of an uploaded file.
 pub(super) const GLB_TYPES: &[&str] =
@@ -74,6 +75,11 @@ pub(super) struct CreateQuery {
     /// absent, as glTF has it: hard shadows.
     #[param(example = 0.53)]
     pub(super) sun_angle: Option<f32>,
+    /// What the intensities of the file's point and spot lights are: `candela` (glTF's; `candela` where absent), or `watt`,
+    /// the power into all directions, as Blender writes in its lighting mode "Raw": 1 / 4π of it per steradian. Emissive
+    /// surfaces and directional lights stay as they are.
+    #[param(inline)]
+    unit: Option<LightUnit>,
     /// Largest albedo that light meets, above 0 and up to 0.999: what is above, of the file, of inserted assets and of
     /// repaints, counts as this. 0.95 where absent.
     #[param(example = 0.99)]
@@ -180,6 +186,7 @@ pub(super) fn keep(
         object_squares: Some(about.density.object_squares).filter(|squares| squares.is_finite()),
         environment: options.environment,
         outside: options.outside.clone(),
+        unit: options.unit,
         max_albedo: options.max_albedo,
         groups: about.groups.clone(),
         target: options.target,
@@ -252,6 +259,7 @@ pub(super) struct Options {
     mode: Mode,
     environment: Option<[f32; 3]>,
     outside: StoredOutside,
+    unit: LightUnit,
     max_albedo: Option<f32>,
     layers: Wanted,
     bake: bool,
@@ -280,6 +288,7 @@ impl Options {
             mode: query.mode.unwrap_or_default(),
             environment,
             outside,
+            unit: query.unit.unwrap_or_default(),
             max_albedo: query.max_albedo,
             layers: query
                 .layers
@@ -342,6 +351,7 @@ impl About {
 pub(super) fn read_scene(app: &App, glb: &Bytes, options: &Options) -> ApiResult<(Scene, Density)> {
     let limits = &app.config.limits;
     let mut scene = engine::load(glb, limits, options.max_albedo).map_err(load_problem)?;
+    options.unit.convert(&mut scene);
     let outside = skies::outside(options.environment, &options.outside, &app.assets)?;
     if !outside.add_to(&mut scene) {
         let reason = "the file has a light named \"environment\" already";

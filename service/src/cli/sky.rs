@@ -1,16 +1,17 @@
-//! Light from outside that is added to files.
+//! Light from outside that is added to files, and how their own is read.
 
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::Context;
 use glam::Vec3;
+use rebake::LightUnit;
 use rebake_core::scene::{LightKind, LoadLimits, Outside, Scene, load_sky};
 
 use super::ui;
 use super::values::{Rgb, not_negative};
 
-/// Light from outside.
+/// Light from outside, and of the file.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(super) struct SkyArgs {
     /// Constant radiance from outside, linear RGB [default: black]
@@ -31,6 +32,10 @@ pub(super) struct SkyArgs {
     /// Angle that the discs of directional lights take up, below 180: the sun's is 0.53 [default: 0, hard shadows]
     #[arg(long, value_name = "DEGREES", value_parser = disc_angle)]
     pub(super) sun_angle: Option<f32>,
+    /// What the intensities of the file's point and spot lights are: glTF's candela, or watts into all directions, as
+    /// Blender writes in its lighting mode "Raw" [default: candela]
+    #[arg(long, value_enum)]
+    pub(super) unit: Option<LightUnit>,
 }
 
 fn disc_angle(text: &str) -> Result<f32, String> {
@@ -39,8 +44,9 @@ fn disc_angle(text: &str) -> Result<f32, String> {
 }
 
 impl SkyArgs {
-    /// Adds it to a scene.
+    /// Adds it to a scene that was just read.
     pub(super) fn add_to(&self, scene: &mut Scene) -> anyhow::Result<()> {
+        self.unit.unwrap_or_default().convert(scene);
         let sky = match (&self.sky, self.environment) {
             (Some(file), _) => {
                 let cannot = || format!("cannot load {}", file.display());

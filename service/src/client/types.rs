@@ -4,6 +4,8 @@ use std::path::Path;
 
 use serde::Deserialize;
 
+use crate::LightUnit;
+
 /// How to upload a scene. What is absent is the service's to choose.
 #[derive(Clone, Debug, Default)]
 pub struct NewScene {
@@ -25,6 +27,8 @@ pub struct NewScene {
     pub default_sky: Option<bool>,
     /// Angle of the discs of directional lights, degrees.
     pub sun_angle: Option<f32>,
+    /// What the intensities of the file's point and spot lights are.
+    pub unit: Option<LightUnit>,
     /// `shared`, `each` or a JSON object of layers with their lights.
     pub layers: Option<String>,
     /// What the scene works towards: samples per element …
@@ -50,6 +54,7 @@ impl NewScene {
             ("sky_strength", self.sky_strength.map(|factor| factor.to_string())),
             ("default_sky", self.default_sky.map(|is_wanted| is_wanted.to_string())),
             ("sun_angle", self.sun_angle.map(|degrees| degrees.to_string())),
+            ("unit", self.unit.map(|unit| unit.name().to_owned())),
             ("layers", self.layers.clone()),
             ("samples_per_element", self.samples_per_element.map(|samples| samples.to_string())),
             ("max_seconds", self.max_seconds.map(|seconds| seconds.to_string())),

@@ -13,6 +13,7 @@ use crate::jobs::JobSpec;
 use crate::jobs::budget::JobBudget;
 use crate::jobs::queue::{Job, JobNumber, SceneNumber};
 use crate::mode::Mode;
+use crate::unit::LightUnit;
 
 /// How a scene was uploaded.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -27,6 +28,9 @@ pub(crate) struct SceneRecord {
     pub(crate) environment: Option<[f32; 3]>,
     #[serde(default)]
     pub(crate) outside: StoredOutside,
+    /// What the intensities of the file's lights are.
+    #[serde(default)]
+    pub(crate) unit: LightUnit,
     /// Bound on albedos, where the client stated one.
     #[serde(default)]
     pub(crate) max_albedo: Option<f32>,

@@ -15,7 +15,8 @@ const CAMERA_NEAR: f32 = 0.01;
 
 /// Writes objects with their transforms and materials, lights and cameras.
 ///
-/// The emission of a material is the strength of its light, so that a relit scene is read back as it is lit. Light
+/// The emission of a material is the strength of its light (times the mean of its texture), so that a relit scene is read
+/// back as it is lit. Light
 /// from outside has no place in glTF and is left out. Transforms become `f32`.
 ///
 /// # Errors
@@ -90,7 +91,8 @@ pub(super) fn add_mesh(
         }
         attributes.extend(["TEXCOORD_0", "TEXCOORD_1"].into_iter().zip(sets.iter().cloned()));
         let light = emission.get(&(item.name.as_str(), material));
-        let parts = light.map_or((Vec3::ZERO, 1.0), |light| light_parts(light));
+        let mean = item.mean_emission(material as usize);
+        let parts = light.map_or((Vec3::ZERO, 1.0), |light| light_parts(light.color * mean, light.intensity));
         let opacity = item.mean_opacity(material as usize);
         let name = item.material_names.get(material as usize).filter(|_| is_told).map_or("", |name| &**name);
         let material = item.materials.get(material as usize).ok_or_else(lists)?;
@@ -116,8 +118,8 @@ fn add_texcoords(document: &mut Document, sets: &[Vec<Vec2>; 2], vertices: usize
 }
 
 /// Colour and intensity, kept apart as they are where the colour is a valid factor.
-fn light_parts(light: &Light) -> (Vec3, f32) {
-    if light.color.max_element() <= 1.0 { (light.color, light.intensity) } else { emission_parts(light.strength()) }
+fn light_parts(color: Vec3, intensity: f32) -> (Vec3, f32) {
+    if color.max_element() <= 1.0 { (color, intensity) } else { emission_parts(color * intensity) }
 }
 
 fn add_punctual(document: &mut Document, light: &Light) -> Result<(), ExportError> {
@@ -128,7 +130,7 @@ fn add_punctual(document: &mut Document, light: &Light) -> Result<(), ExportErro
         LightKind::Directional { direction, .. } => ("directional", DVec3::ZERO, *direction, None),
     };
     // As for emissive factors, the parts of a colour are at most 1.
-    let (color, intensity) = light_parts(light);
+    let (color, intensity) = light_parts(light.color, light.intensity);
     let mut json = vec![
         ("name", light.name.as_str().into()),
         ("type", kind.into()),

@@ -62,7 +62,7 @@ fn emissive(objects: &[LoadedObject], names: &mut UniqueNames) -> Vec<Light> {
     let mut lights = Vec::new();
     for LoadedObject { object, loaded, .. } in objects {
         for (index, material) in loaded.materials.iter().enumerate() {
-            if material.emission_color == Vec3::ZERO {
+            if material.emission_color == Vec3::ZERO || !object.shines(index) {
                 continue;
             }
             lights.push(Light {

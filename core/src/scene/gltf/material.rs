@@ -21,7 +21,7 @@ pub(super) struct LoadedMaterial {
     pub(super) material: Material,
     /// What varies from place to place; absent where `material` says all.
     pub(super) look: Option<Arc<Look>>,
-    /// Emissive factor (times the mean of the emissive texture); zero where nothing is emitted.
+    /// Emissive factor; zero where nothing is emitted.
     pub(super) emission_color: Vec3,
     /// `KHR_materials_emissive_strength`.
     pub(super) emission_intensity: f32,
@@ -72,6 +72,8 @@ impl LoadedMaterial {
         if let Some(mean) = means[1] {
             look.emission *= mean.color;
             look.emissive = None;
+            self.material.emission *= mean.color;
+            self.emission_color *= mean.color;
         }
         let unplaced = means.map(|mean| mean.is_some());
         if unplaced != [false; 2] {
@@ -131,10 +133,8 @@ impl<'f> Materials<'f> {
         } else if let Some(info) = json.emissive_texture.as_ref().filter(|_| color != Vec3::ZERO) {
             emissive = self.textures.get(info, AlphaUse::Ignored, "emissive", &place, warnings)?;
             match &emissive {
-                Some(texture) => {
-                    color *= texture.texture.mean().color;
-                    warnings.add("emissive textures count with their mean colour", &place);
-                }
+                Some(texture) if texture.texture.mean().color == Vec3::ZERO => (color, emissive) = (Vec3::ZERO, None),
+                Some(_) => {}
                 None => (color, factor) = (color * MID_GREY, factor * MID_GREY),
             }
         }

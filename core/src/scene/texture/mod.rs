@@ -150,6 +150,12 @@ impl TextureUse {
         self.texture.mean_over(texcoords.map(|texcoord| self.map(texcoord)), self.wrap)
     }
 
+    /// The texel at a place, given by the mesh's texture coordinates; the mean where they are no numbers.
+    pub fn texel(&self, texcoord: Vec2) -> TextureMean {
+        let uv = self.map(texcoord);
+        if uv.is_finite() { self.texture.texel(uv, self.wrap) } else { self.texture.mean() }
+    }
+
     /// Whether there is no hole at a place, given by the mesh's texture coordinates.
     pub fn is_solid_at(&self, texcoord: Vec2) -> bool {
         self.texture.is_solid_at(self.map(texcoord), self.wrap)

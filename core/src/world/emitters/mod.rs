@@ -13,10 +13,11 @@ use glam::Vec3;
 
 use self::outside::TurnedSky;
 pub(super) use self::surface::{Emissive, EmissiveTriangle};
+use crate::bvh::Hit;
 use crate::sampling::{Cone, Discrete};
 use crate::scene::{Light, LightKind};
 use crate::space::ray_offset;
-use crate::surface::SeeThrough;
+use crate::surface::{Facets, SeeThrough};
 use crate::value::Value;
 
 /// Shadow rays end this part of their length before the light.
@@ -30,8 +31,10 @@ pub(crate) enum Shape {
         /// Ascending by face, along a curve in space: neighbours mostly follow each other, so that inversion keeps
         /// stratification.
         triangles: Vec<EmissiveTriangle>,
-        /// By area.
+        /// By area; of facets by what they send out.
         choice: Discrete,
+        /// What each triangle sends out, where that varies.
+        facets: Option<Arc<Facets>>,
         /// Both sides emit.
         double_sided: bool,
         /// Bounding sphere.
@@ -45,6 +48,8 @@ pub(crate) enum Shape {
         largest: f32,
         /// Area of all, m².
         area: f32,
+        /// Mean of what they send out at unit strength, over RGB, too.
+        brightness: f32,
         /// They let light through, and shine by as much less there.
         see_through: Option<Arc<SeeThrough>>,
     },
@@ -84,8 +89,9 @@ pub(crate) struct LightSample {
     pub distance: f32,
     /// Contribution to irradiance / π at unit strength, divided by the density of the sample.
     pub weight: f32,
-    /// Share of it that is sent out there: places of a lamp that let light through shine by as much less.
-    pub share: f32,
+    /// What is sent out there of unit strength, linear RGB: what a picture shows, of a screen or of the sky, and as much less
+    /// where a lamp lets light through.
+    pub tint: Vec3,
 }
 
 impl LightSample {
@@ -203,8 +209,9 @@ impl Emitter {
     pub(crate) fn power(&self, scene_radius: f32) -> f32 {
         let mean = self.strength.element_sum() / 3.0;
         mean * match &self.shape {
-            Shape::Surface { triangles, double_sided, .. } => {
-                triangles.iter().map(|t| t.area).sum::<f32>() * PI * if *double_sided { 2.0 } else { 1.0 }
+            Shape::Surface { triangles, double_sided, brightness, .. } => {
+                let area = triangles.iter().map(|t| t.area).sum::<f32>();
+                area * PI * if *double_sided { 2.0 } else { 1.0 } * brightness
             }
             Shape::Point { .. } => 4.0 * PI,
             Shape::Directional { .. } => PI * scene_radius * scene_radius,
@@ -223,13 +230,16 @@ impl Emitter {
         matches!(self.shape, Shape::Surface { .. })
     }
 
-    /// What its strength is multiplied by in a direction in which it was sampled.
+    /// What is sent out of unit strength by what a ray met, whose place is `hit.u`, `hit.v` of triangle `face` of its surface:
+    /// none where it does not shine. And the index of the triangle that [`Emitter::pdf`] asks for, where that is known.
     #[inline]
-    pub(crate) fn tint(&self, direction: Vec3) -> Vec3 {
+    pub(crate) fn met(&self, hit: &Hit, face: u32) -> Option<(Vec3, Option<usize>)> {
         match &self.shape {
-            Shape::Sky(Some(sky)) => sky.even(direction),
-            Shape::BrightSky(sky) => sky.bright(direction),
-            Shape::Surface { .. } | Shape::Point { .. } | Shape::Directional { .. } | Shape::Sky(None) => Vec3::ONE,
+            Shape::Surface { facets: Some(facets), .. } => {
+                let index = facets.at(face, [hit.u, hit.v])?;
+                Some((facets.list()[index].color, Some(index)))
+            }
+            _ => Some((Vec3::ONE, None)),
         }
     }
 
@@ -247,11 +257,15 @@ impl Emitter {
     #[inline]
     pub(crate) fn sample(&self, point: Vec3, n: Vec3, u: [f32; 2]) -> Option<LightSample> {
         match &self.shape {
-            Shape::Surface { triangles, choice, double_sided, see_through, .. } => {
-                let (sample, triangle) = surface::sample(triangles, choice, *double_sided, point, n, u)?;
-                let Some(see_through) = see_through else { return Some(sample) };
-                let share = triangle.opacity(see_through, point + sample.direction * sample.distance);
-                (share > 0.0).then_some(LightSample { share, ..sample })
+            Shape::Surface { triangles, choice, facets, double_sided, see_through, .. } => {
+                let (sample, index) = surface::sample(triangles, choice, *double_sided, point, n, u)?;
+                if facets.is_none() && see_through.is_none() {
+                    return Some(sample);
+                }
+                let place = point + sample.direction * sample.distance;
+                let pictures = (facets.as_deref(), see_through.as_deref());
+                let tint = surface::sent_at(&triangles[index], index, pictures, place);
+                (tint != Vec3::ZERO).then_some(LightSample { tint, ..sample })
             }
             Shape::Point { position, spot, range } => {
                 let w = *position - point;
@@ -267,10 +281,10 @@ impl Emitter {
                     t * t
                 });
                 let weight = cos * cone * attenuation(distance2, *range) * FRAC_1_PI;
-                (weight > 0.0).then_some(LightSample { direction, distance, weight, share: 1.0 })
+                (weight > 0.0).then_some(LightSample { direction, distance, weight, tint: Vec3::ONE })
             }
             Shape::Directional { direction, disc } => outside::sample_directional(*direction, disc.as_ref(), n, u),
-            Shape::Sky(_) => Some(outside::sample_even(n, u)),
+            Shape::Sky(sky) => Some(outside::sample_even(sky.as_ref(), n, u)),
             Shape::BrightSky(sky) => sky.sample_bright(n, u),
         }
     }
@@ -280,8 +294,8 @@ impl Emitter {
     /// Whether another emitter shines from the same place. Triangles are compared by the caller.
     pub(crate) fn same_shape(&self, other: &Emitter) -> bool {
         match (&self.shape, &other.shape) {
-            (Shape::Surface { double_sided: a, .. }, Shape::Surface { double_sided: b, .. }) => {
-                a == b && self.object == other.object
+            (Shape::Surface { double_sided: a, facets: f, .. }, Shape::Surface { double_sided: b, facets: g, .. }) => {
+                a == b && self.object == other.object && f == g
             }
             (Shape::Point { position: a, spot: s, range: r }, Shape::Point { position: b, spot: t, range: q }) => {
                 a == b && s == t && r == q
@@ -299,5 +313,9 @@ impl Emitter {
 /// Radiance that a ray finds which leaves the scene, of some emitters that are not aimed at.
 #[inline]
 pub(crate) fn sky<V: Value>(skies: &[Emitter], direction: Vec3) -> V {
-    skies.iter().map(|sky| V::of_layer(sky.layer, sky.strength * sky.tint(direction))).sum()
+    let even = |emitter: &Emitter| match &emitter.shape {
+        Shape::Sky(Some(sky)) => emitter.strength * sky.even(direction),
+        _ => emitter.strength * Vec3::ONE,
+    };
+    skies.iter().map(|emitter| V::of_layer(emitter.layer, even(emitter))).sum()
 }

@@ -31,12 +31,6 @@ impl TurnedSky {
         self.picture.even(self.in_picture(direction))
     }
 
-    /// Radiance beyond it.
-    #[inline]
-    pub(super) fn bright(&self, direction: Vec3) -> Vec3 {
-        self.picture.bright(self.in_picture(direction))
-    }
-
     /// All radiance.
     #[inline]
     pub(super) fn radiance(&self, direction: Vec3) -> Vec3 {
@@ -60,7 +54,8 @@ impl TurnedSky {
         let there = choice.sample(u);
         let (direction, pdf) = (self.in_scene(there), choice.pdf(there));
         let cos = n.dot(direction);
-        (cos > 0.0 && pdf > 0.0).then(|| from_afar(direction, cos * FRAC_1_PI / pdf))
+        let tint = self.picture.bright(there);
+        (cos > 0.0 && pdf > 0.0).then(|| LightSample { tint, ..from_afar(direction, cos * FRAC_1_PI / pdf) })
     }
 
     pub(super) fn same_as(&self, other: &TurnedSky) -> bool {
@@ -80,8 +75,10 @@ impl TurnedSky {
 
 /// By the cosine: what is bright is left to other samples.
 #[inline]
-pub(super) fn sample_even(n: Vec3, u: [f32; 2]) -> LightSample {
-    from_afar(cosine_hemisphere(n, u), 1.0)
+pub(super) fn sample_even(sky: Option<&TurnedSky>, n: Vec3, u: [f32; 2]) -> LightSample {
+    let direction = cosine_hemisphere(n, u);
+    let tint = sky.map_or(Vec3::ONE, |sky| sky.even(direction));
+    LightSample { tint, ..from_afar(direction, 1.0) }
 }
 
 /// The directions towards a light that is as far away as the sun, and shines in unit `direction`; none where it has no
@@ -107,5 +104,5 @@ pub(super) fn sample_directional(direction: Vec3, disc: Option<&Cone>, n: Vec3, 
 
 #[inline]
 fn from_afar(direction: Vec3, weight: f32) -> LightSample {
-    LightSample { direction, distance: f32::INFINITY, weight, share: 1.0 }
+    LightSample { direction, distance: f32::INFINITY, weight, tint: Vec3::ONE }
 }

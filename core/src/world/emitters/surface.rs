@@ -8,15 +8,15 @@ use glam::Vec3;
 use super::{Emitter, LightSample, Shape};
 use crate::bvh::{Hit, Ray};
 use crate::sampling::{Discrete, SphericalTriangle, uniform_barycentrics};
-use crate::surface::{SeeThrough, barycentrics};
+use crate::surface::{Facets, SeeThrough, barycentrics};
 
 /// Emitters of at most so many triangles are sampled by the solid angle of all of them from near.
 const FEW: usize = 4;
 
-/// An emissive triangle in scene space.
+/// An emissive triangle in scene space: a face, or a facet of one.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct EmissiveTriangle {
-    /// Index in its object's surface.
+    /// Index in its object's surface, of the face.
     pub face: u32,
     /// Corners, counter-clockwise from the front.
     pub corners: [Vec3; 3],
@@ -32,6 +32,8 @@ pub(crate) struct Emissive {
     pub key: u32,
     /// Ascending by face.
     pub triangles: Vec<EmissiveTriangle>,
+    /// What each of them sends out, where that varies: in the same order.
+    pub facets: Option<Arc<Facets>>,
     /// Both sides emit.
     pub double_sided: bool,
     /// What of the object lets light through.
@@ -39,8 +41,10 @@ pub(crate) struct Emissive {
 }
 
 /// The shape of some triangles.
-pub(super) fn shape(Emissive { triangles, double_sided, see_through, .. }: Emissive) -> Shape {
-    let choice = Discrete::new(triangles.iter().map(|t| f64::from(t.area))).unwrap_or_default();
+pub(super) fn shape(Emissive { triangles, facets, double_sided, see_through, .. }: Emissive) -> Shape {
+    let bright = |index: usize| facets.as_ref().map_or(1.0, |facets| facets.list()[index].color.element_sum() / 3.0);
+    let powers = || triangles.iter().enumerate().map(|(index, t)| f64::from(t.area) * f64::from(bright(index)));
+    let choice = Discrete::new(powers()).unwrap_or_default();
     let corners = || triangles.iter().flat_map(|t| t.corners);
     let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
     corners().for_each(|c| {
@@ -50,21 +54,35 @@ pub(super) fn shape(Emissive { triangles, double_sided, see_through, .. }: Emiss
     let center = (low + high) * 0.5;
     let radius = corners().map(|c| c.distance(center)).fold(0.0, f32::max) * 1.0001;
     let largest = triangles.iter().map(|t| t.area).fold(0.0, f32::max);
-    let area = triangles.iter().map(|t| t.area).sum();
-    Shape::Surface { triangles, choice, double_sided, center, radius, low, high, largest, area, see_through }
+    let area: f32 = triangles.iter().map(|t| t.area).sum();
+    let brightness = facets.as_ref().map_or(1.0, |_| (powers().sum::<f64>() / f64::from(area).max(1e-30)) as f32);
+    Shape::Surface {
+        triangles,
+        choice,
+        facets,
+        double_sided,
+        center,
+        radius,
+        low,
+        high,
+        largest,
+        area,
+        brightness,
+        see_through,
+    }
 }
 
 /// Few triangles that are near together by solid angle; else triangles by area, and the point on one by area from afar
 /// and by solid angle from near, where 1/r² would explode.
 #[inline]
-pub(super) fn sample<'t>(
-    triangles: &'t [EmissiveTriangle],
+pub(super) fn sample(
+    triangles: &[EmissiveTriangle],
     choice: &Discrete,
     double_sided: bool,
     point: Vec3,
     n: Vec3,
     [u, v]: [f32; 2],
-) -> Option<(LightSample, &'t EmissiveTriangle)> {
+) -> Option<(LightSample, usize)> {
     if triangles.len() <= FEW && triangles.iter().any(|t| t.is_near(point)) {
         return sample_few(triangles, double_sided, point, n, [u, v]);
     }
@@ -77,7 +95,7 @@ pub(super) fn sample<'t>(
     if triangle.is_near(point) {
         let spherical = SphericalTriangle::new(point, triangle.corners)?;
         let sample = triangle.towards(point, n, spherical.sample([u, v]), probability * spherical.pdf())?;
-        return Some((sample, triangle));
+        return Some((sample, index));
     }
     let [a, b, c] = triangle.corners;
     let (b1, b2) = uniform_barycentrics([u, v]);
@@ -88,7 +106,7 @@ pub(super) fn sample<'t>(
     let cos = n.dot(direction);
     let cos_light = direction.dot(triangle.normal).abs();
     let weight = cos * cos_light * triangle.area / (distance2 * probability) * FRAC_1_PI;
-    (cos > 0.0).then_some((LightSample { direction, distance, weight, share: 1.0 }, triangle))
+    (cos > 0.0).then_some((LightSample { direction, distance, weight, tint: Vec3::ONE }, index))
 }
 
 /// Uniform over the solid angle of all triangles together.
@@ -98,7 +116,7 @@ fn sample_few(
     point: Vec3,
     n: Vec3,
     [u, v]: [f32; 2],
-) -> Option<(LightSample, &EmissiveTriangle)> {
+) -> Option<(LightSample, usize)> {
     let mut seen = [None; FEW];
     let mut total = 0.0;
     for (slot, triangle) in seen.iter_mut().zip(triangles) {
@@ -109,24 +127,26 @@ fn sample_few(
     }
     let mut left = f64::from(u) * total;
     let mut last = None;
-    for (spherical, triangle) in seen.iter().zip(triangles) {
+    for (index, spherical) in seen.iter().enumerate() {
         let Some(spherical) = spherical else { continue };
-        last = Some((spherical, triangle, left));
+        last = Some((spherical, index, left));
         if left < spherical.solid_angle {
             break;
         }
         left -= spherical.solid_angle;
     }
-    let (spherical, triangle, left) = last?;
+    let (spherical, index, left) = last?;
     let u = ((left / spherical.solid_angle) as f32).clamp(0.0, 0.999_999_94);
-    Some((triangle.towards(point, n, spherical.sample([u, v]), (1.0 / total) as f32)?, triangle))
+    Some((triangles[index].towards(point, n, spherical.sample([u, v]), (1.0 / total) as f32)?, index))
 }
 
 impl Emitter {
     /// Density per steradian with which [`Emitter::sample`] finds the point that a ray met on this emissive surface;
-    /// zero where it never does. `which` tells the index of the triangle, where it is needed: near many triangles.
+    /// zero where it never does. `which` tells the index of the triangle, where it is needed: near many triangles, and of
+    /// facets.
     pub(crate) fn pdf(&self, ray: &Ray, hit: &Hit, which: impl FnOnce() -> Option<usize>) -> f32 {
-        let Shape::Surface { triangles, choice, double_sided, center, radius, largest, area, .. } = &self.shape else {
+        let Shape::Surface { triangles, choice, facets, double_sided, center, radius, largest, area, .. } = &self.shape
+        else {
             return 0.0;
         };
         let point = ray.origin;
@@ -137,16 +157,20 @@ impl Emitter {
             let total: f64 = seen.filter_map(|t| SphericalTriangle::new(point, t.corners)).map(|s| s.solid_angle).sum();
             return if total > 0.0 && slope >= 1e-7 { (1.0 / total) as f32 } else { 0.0 };
         }
-        if !few && point.distance(*center) < radius + (8.0 * largest).sqrt() {
+        // Of the triangle, where it counts which; else all are one area.
+        let (mut probability, mut area) = (1.0, *area);
+        if facets.is_some() || !few && point.distance(*center) < radius + (8.0 * largest).sqrt() {
             let Some(index) = which() else { return 0.0 };
             let triangle = &triangles[index];
             if triangle.is_near(point) {
                 let spherical = SphericalTriangle::new(point, triangle.corners).filter(|_| slope >= 1e-7);
                 return spherical.map_or(0.0, |s| choice.pdf(index) * s.pdf());
             }
+            if facets.is_some() {
+                (probability, area) = (choice.pdf(index), triangle.area);
+            }
         }
-        // By area, whatever the triangle.
-        if slope > 0.0 { hit.t * hit.t / (slope * area) } else { 0.0 }
+        if slope > 0.0 { probability * (hit.t * hit.t / (slope * area)) } else { 0.0 }
     }
 }
 
@@ -156,13 +180,6 @@ impl EmissiveTriangle {
     fn is_near(&self, point: Vec3) -> bool {
         let [a, b, c] = self.corners;
         ((a + b + c) * (1.0 / 3.0) - point).length_squared() < 8.0 * self.area
-    }
-
-    /// How opaque it is at a point on it, as it shines there.
-    #[cold]
-    pub(super) fn opacity(&self, see_through: &SeeThrough, point: Vec3) -> f32 {
-        let [_, u, v] = barycentrics(point, self.corners);
-        see_through.at(self.face as usize, [u, v]).map_or(1.0, |passage| passage.opacity)
     }
 
     /// Height of a point over the triangle's plane, m.
@@ -186,6 +203,23 @@ impl EmissiveTriangle {
             return None;
         }
         let distance = self.height(point) / slope;
-        (distance > 0.0).then_some(LightSample { direction, distance, weight: cos * FRAC_1_PI / pdf, share: 1.0 })
+        (distance > 0.0).then_some(LightSample { direction, distance, weight: cos * FRAC_1_PI / pdf, tint: Vec3::ONE })
     }
+}
+
+/// What a place of a triangle sends out of unit strength, linear RGB: what its facet shows, and as much of it as is opaque.
+#[inline(never)]
+pub(super) fn sent_at(
+    triangle: &EmissiveTriangle,
+    index: usize,
+    (facets, see_through): (Option<&Facets>, Option<&SeeThrough>),
+    point: Vec3,
+) -> Vec3 {
+    let facet = facets.map(|facets| &facets.list()[index]);
+    let opacity = see_through.map_or(1.0, |see_through| {
+        let weights = barycentrics(point, triangle.corners);
+        let place = facet.map_or([weights[1], weights[2]], |facet| facet.place(weights));
+        see_through.at(triangle.face as usize, place).map_or(1.0, |passage| passage.opacity)
+    });
+    facet.map_or(Vec3::ONE, |facet| facet.color) * opacity
 }

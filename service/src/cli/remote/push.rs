@@ -70,6 +70,7 @@ pub(in super::super) async fn push(args: PushArgs) -> anyhow::Result<()> {
         sky_strength: args.sky.sky_strength.map(|strength| strength as f32),
         default_sky: args.sky.default_sky.then_some(true),
         sun_angle: args.sky.sun_angle,
+        unit: args.sky.unit,
         layers: args.layers,
         samples_per_element: args.budget.samples,
         max_seconds: args.budget.max_seconds,

@@ -119,6 +119,7 @@ mod tests {
             object_squares: None,
             environment: None,
             outside: StoredOutside::default(),
+            unit: Default::default(),
             max_albedo: None,
             target: None,
             groups: Default::default(),

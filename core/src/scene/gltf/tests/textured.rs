@@ -55,7 +55,9 @@ fn embedded_textures_count_with_their_mean() {
         let scene = load(&textured(&encoded(format), &[])).unwrap();
         let paint = scene.objects[0].materials[0];
         assert!(paint.albedo.distance(Vec3::new(0.25, 0.0, 0.0)) < tolerance, "{paint:?}");
-        assert!(paint.emission.distance(Vec3::new(1.5, 0.0, 0.0)) < 3.0 * tolerance, "{paint:?}");
+        let shown = paint.emission * scene.objects[0].mean_emission(0);
+        assert!(shown.distance(Vec3::new(1.5, 0.0, 0.0)) < 3.0 * tolerance, "{shown}");
+        assert_eq!(paint.emission, Vec3::new(3.0, 1.5, 0.0));
         assert_eq!(scene.lights[0].strength(), paint.emission);
         assert!(scene.warnings.iter().any(|text| text.contains("mean colour")), "{:?}", scene.warnings);
     }
@@ -79,6 +81,19 @@ fn places_of_textures_are_kept() {
     assert!((mean.color - Vec3::X * 0.75).abs().max_element() < 1e-4, "{mean:?}");
     // The same picture is kept once.
     assert!(std::sync::Arc::ptr_eq(&texture.texture, &look.emissive.as_ref().unwrap().texture));
+}
+
+/// What shows a black part of its emissive texture is no light.
+#[test]
+fn what_shows_no_light_is_none() {
+    let emissive = "\"emissiveTexture\": {\"index\": 0}";
+    let part = |offset: f32| {
+        let transform = format!("{{\"scale\": [0.4, 1], \"offset\": [{offset}, 0]}}");
+        let extensions = format!("\"extensions\": {{\"KHR_texture_transform\": {transform}}}");
+        let edit = emissive.replace("0}", &format!("0, {extensions}}}"));
+        load(&textured(&encoded(ImageFormat::Png), &[(emissive, &edit)])).unwrap().lights.len()
+    };
+    assert_eq!(part(0.55), part(0.05) + 1);
 }
 
 /// Rotation turns counter-clockwise about the upper left corner, scale comes before it, offset behind.
@@ -140,7 +155,9 @@ fn textures_without_a_place_count_with_their_mean() {
     let object = &scene.objects[0];
     assert_eq!(object.mesh.triangle_materials, [0, 0, 1, 1]);
     assert!(object.looks[0].is_some() && object.looks[1].is_none(), "{object:?}");
-    assert_eq!(object.materials[0], object.materials[1]);
+    assert_eq!(object.materials[0].albedo, object.materials[1].albedo);
+    let means = [0, 1].map(|material| object.materials[material].emission * object.mean_emission(material));
+    assert!(means[0].distance(means[1]) < 1e-4 && means[0].distance(Vec3::X * 1.5) < 1e-3, "{means:?}");
 }
 
 #[test]
