@@ -1,5 +1,6 @@
 //! Binary glTF: the subdivided meshes with their light map, and whole scenes.
 
+mod atlas;
 mod container;
 mod scene;
 #[cfg(test)]
@@ -10,6 +11,7 @@ use std::collections::BTreeMap;
 use ::gltf::json::Value;
 use glam::{DVec3, Vec3};
 
+pub use self::atlas::{AtlasAbout, write_atlas_glb};
 pub use self::scene::write_scene_glb;
 
 use self::container::{Document, numbers, object, push};

@@ -136,7 +136,7 @@ fn add_punctual(document: &mut Document, light: &Light) -> Result<(), ExportErro
 }
 
 /// The `matrix` of a node; none where it is the identity.
-fn transform(matrix: DMat4, name: &str) -> Result<Option<(&'static str, Value)>, ExportError> {
+pub(super) fn transform(matrix: DMat4, name: &str) -> Result<Option<(&'static str, Value)>, ExportError> {
     if !matrix.as_mat4().is_finite() {
         return Err(ExportError::NotFinite(name.to_owned()));
     }
