@@ -124,6 +124,7 @@ impl App {
             let world = (published.world.memory_bytes() as u64).max(scene.accepted_bytes());
             let light =
                 published.memory_bytes() + scene.drag.memory_bytes() + scene.earlier.memory_bytes(&published.map);
+            let light = light + scene.made_atlas.memory_bytes();
             world + light as u64 + scene.layers_to_come(&published)
         };
         self.scenes.all().iter().map(|scene| of(scene)).sum::<u64>() + self.assets.memory_bytes()

@@ -9,8 +9,8 @@ use utoipa::openapi::{Ref, RefOr};
 
 use super::problem::{self, Kind, ProblemDocument};
 use super::{
-    assets, deltas, edit_types, edits, elements, events, health, history, jobs, lightmap, render, sample, scenes,
-    types, uploads,
+    assets, atlas, deltas, edit_types, edits, elements, events, health, history, jobs, lightmap, render, sample,
+    scenes, types, uploads,
 };
 
 #[derive(OpenApi)]
@@ -24,7 +24,7 @@ use super::{
         uploads::create, scenes::list, scenes::get, scenes::patch, scenes::delete, assets::create, assets::list, assets::delete, edits::create,
         history::list,
         jobs::list, jobs::get, jobs::cancel, jobs::pause, jobs::resume, events::of_job, events::of_scene,
-        lightmap::get, deltas::get, elements::get, render::get, sample::create, health::alive, health::ready, health::metrics, health::problem, get
+        lightmap::get, deltas::get, elements::get, atlas::get, atlas::get_page, render::get, sample::create, health::alive, health::ready, health::metrics, health::problem, get
     ),
     components(schemas(ProblemDocument, types::SnapshotEvent, types::SceneEvent, types::SceneSummary, edit_types::EditRequest)),
     tags(
@@ -143,8 +143,10 @@ fn problems_of(operation: &str) -> &'static [Kind] {
         "cancel_job" | "pause_job" | "resume_job" => &[UnknownJob, JobEnded, Storage],
         "job_events" => &[UnknownJob, TooManyStreams],
         "scene_events" => &[UnknownScene, SceneDamaged, TooManyStreams],
-        "get_lightmap" => &[InvalidQuery, UnknownScene, SceneDamaged],
+        "get_lightmap" => &[InvalidQuery, UnknownScene, SceneDamaged, SceneTooLarge, NoMemory],
         "get_deltas" => &[InvalidQuery, UnknownScene, SceneDamaged, VersionAhead, TooManyStreams],
+        "get_atlas" => &[UnknownScene, SceneDamaged, SceneTooLarge],
+        "get_atlas_page" => &[InvalidQuery, UnknownScene, SceneDamaged, SceneTooLarge, NotFound, NoMemory],
         "get_elements" => &[UnknownScene, SceneDamaged],
         "render_scene" => &[InvalidQuery, UnknownScene, SceneDamaged, VersionForgotten],
         "sample_light" => &[

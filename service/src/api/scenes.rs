@@ -194,6 +194,7 @@ fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::
         name: scene.name(),
         mode: scene.mode,
         spacing: world.spacing(),
+        texels_per_metre: world.atlas().map(|atlas| atlas.texels_per_metre()),
         version: published.version,
         elements_version: published.elements_version,
         elements: world.slots() as u64,

@@ -13,6 +13,7 @@ use serde::Deserialize;
 use tokio::sync::OwnedSemaphorePermit;
 use utoipa::IntoParams;
 
+use super::atlas::{self, LayoutName, atlas_problem};
 use super::edit_parse::{check_name, check_strength, to_budget};
 use super::edit_types::Budget;
 use super::extract::{ApiQuery, read_upload, require_content_type};
@@ -22,7 +23,7 @@ use super::scenes::scene_json;
 use super::skies;
 use super::types::{self, JobPriority};
 use super::{Shared, etag, require_serving};
-use crate::engine::{self, LoadError, Scene, SurfaceError, World, WorldError};
+use crate::engine::{self, AtlasOptions, LoadError, Scene, SurfaceError, World, WorldError};
 use crate::jobs::budget::JobBudget;
 use crate::jobs::queue::{Full, JobKind};
 use crate::jobs::{JobSpec, new_record};
@@ -76,6 +77,13 @@ pub(super) struct CreateQuery {
     /// repaints, counts as this. 0.95 where absent.
     #[param(example = 0.99)]
     max_albedo: Option<f32>,
+    /// How the light map is delivered. `vertices`, the default: by element, at the corners of a subdivided mesh. `atlas`:
+    /// objects also have rectangles on pages of texels, which stay where they are through all edits.
+    #[param(inline)]
+    layout: Option<LayoutName>,
+    /// Texels per metre of surface of the atlas; asks for one. One per spacing where absent.
+    #[param(example = 20.0)]
+    texels_per_metre: Option<f32>,
     /// Which lights have layers of their own in the light map, so that relighting them needs no rays: `shared` (none,
     /// the default; lights that are relit get one then), `each` (every light; at most 15), or a JSON object of layers
     /// with their lights (at most 15; the other lights share one more).
@@ -175,6 +183,7 @@ fn create_scene(
     glb: &Bytes,
 ) -> ApiResult<(Arc<SceneEntry>, Option<String>)> {
     let world = build_world(app, glb, &options)?;
+    let atlas = atlas::stored(&world, options.atlas);
     let record = SceneRecord {
         name: options.name,
         mode: options.mode,
@@ -182,6 +191,7 @@ fn create_scene(
         environment: options.environment,
         outside: options.outside,
         max_albedo: options.max_albedo,
+        atlas,
         groups: world.scene.groups.clone(),
         target: options.target,
         created_at: Timestamp::now(),
@@ -232,6 +242,7 @@ struct Options {
     environment: Option<[f32; 3]>,
     outside: StoredOutside,
     max_albedo: Option<f32>,
+    atlas: Option<AtlasOptions>,
     layers: Wanted,
     bake: bool,
     target: Option<JobBudget>,
@@ -241,6 +252,7 @@ struct Options {
 impl Options {
     fn from_query(query: CreateQuery, app: &App) -> ApiResult<Options> {
         let outside = skies::asked_for(&query)?;
+        let atlas = atlas::asked_for(query.layout, query.texels_per_metre, &app.config.limits)?;
         let (bake, has_target) = (query.bake.unwrap_or(true), query.target.is_some());
         let target = read_target(&query, app)?;
         let name = query.name.unwrap_or_else(|| "scene".to_owned());
@@ -260,6 +272,7 @@ impl Options {
             environment,
             outside,
             max_albedo: query.max_albedo,
+            atlas,
             layers: query
                 .layers
                 .map_or(Ok(Wanted::Shared), |text| Wanted::parse(&text, app.config.limits.name_chars))?,
@@ -320,7 +333,9 @@ fn build_world(app: &App, glb: &Bytes, options: &Options) -> ApiResult<World> {
     let of_layers = memory::estimate_layers(bytes, layers::count(&scene, &scene.groups));
     let what = if of_layers > 0 { "scene with its layers" } else { "scene" };
     let _promise = app.promise_memory(bytes.saturating_add(of_layers), 0).map_err(|full| memory_problem(what, full))?;
-    engine::build(scene, spacing, options.mode.stated(), options.max_albedo, limits).map_err(|error| match error {
+    let world = engine::build(scene, spacing, options.mode.stated(), options.max_albedo, options.atlas, limits);
+    world.map_err(|error| match error {
+        WorldError::Atlas(error) => atlas_problem(&error),
         WorldError::TooLarge { .. } | WorldError::Surface { source: SurfaceError::TooManyElements { .. }, .. } => {
             Problem::new(Kind::SceneTooLarge, error.to_string())
         }

@@ -25,6 +25,10 @@ pub struct NewScene {
     pub default_sky: Option<bool>,
     /// Angle of the discs of directional lights, degrees.
     pub sun_angle: Option<f32>,
+    /// `vertices` or `atlas`.
+    pub layout: Option<String>,
+    /// Texels per metre of the atlas.
+    pub texels_per_metre: Option<f32>,
     /// `shared`, `each` or a JSON object of layers with their lights.
     pub layers: Option<String>,
     /// `false`: upload only.
@@ -44,6 +48,8 @@ impl NewScene {
             ("sky_strength", self.sky_strength.map(|factor| factor.to_string())),
             ("default_sky", self.default_sky.map(|is_wanted| is_wanted.to_string())),
             ("sun_angle", self.sun_angle.map(|degrees| degrees.to_string())),
+            ("layout", self.layout.clone()),
+            ("texels_per_metre", self.texels_per_metre.map(|density| density.to_string())),
             ("layers", self.layers.clone()),
             ("bake", self.bake.map(|bake| bake.to_string())),
         ]

@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 use jiff::Timestamp;
 use tokio::sync::watch;
 
+use super::atlas::MadeAtlas;
 use super::drag::Drag;
 use super::earlier::Earlier;
 use super::history::History;
@@ -36,6 +37,8 @@ pub(crate) struct SceneEntry {
     pub(crate) earlier: Earlier,
     /// What lights are dragged with.
     pub(crate) drag: Drag,
+    /// Its atlas, where it was uploaded without one.
+    pub(crate) made_atlas: MadeAtlas,
     published: watch::Sender<Arc<Published>>,
     deleted: watch::Sender<bool>,
     /// No version above it may be given before more are reserved.
@@ -99,6 +102,7 @@ impl SceneEntry {
             lighting: Mutex::new(lighting),
             earlier: Earlier::default(),
             drag: Drag::default(),
+            made_atlas: MadeAtlas::default(),
             published: watch::Sender::new(Arc::new(published)),
             deleted: watch::Sender::new(false),
             reserved: AtomicU64::new(new.reserved),

@@ -34,6 +34,9 @@ pub(in super::super) struct PushArgs {
     mode: Option<String>,
     #[command(flatten)]
     sky: SkyArgs,
+    /// Texels per metre of an atlas, which objects have lasting places in [default without it: none]
+    #[arg(long, value_name = "N", value_parser = positive)]
+    texels_per_metre: Option<f64>,
     /// Lights with layers of their own, which are relit without rays: `shared` (none yet), `each`, or groups as JSON,
     /// e.g. '{"ceiling": ["lamp-1", "lamp-2"]}' [default: shared]
     #[arg(long, value_name = "shared|each|JSON")]
@@ -67,6 +70,8 @@ pub(in super::super) async fn push(args: PushArgs) -> anyhow::Result<()> {
         sky_strength: args.sky.sky_strength.map(|strength| strength as f32),
         default_sky: args.sky.default_sky.then_some(true),
         sun_angle: args.sky.sun_angle,
+        layout: None,
+        texels_per_metre: args.texels_per_metre.map(|density| density as f32),
         layers: args.layers,
         bake: args.no_bake.then_some(false),
     };

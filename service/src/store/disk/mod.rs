@@ -119,6 +119,7 @@ mod tests {
             environment: None,
             outside: StoredOutside::default(),
             max_albedo: None,
+            atlas: None,
             target: None,
             groups: Default::default(),
             created_at,
