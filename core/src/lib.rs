@@ -5,6 +5,7 @@
 
 mod accumulate;
 mod ambient;
+pub mod atlas;
 mod bake;
 mod bits;
 pub mod bvh;
@@ -38,6 +39,7 @@ pub mod scene;
 mod solve;
 mod space;
 pub mod surface;
+pub mod texels;
 mod tiles;
 mod transport;
 mod update;

@@ -79,6 +79,8 @@ pub struct Limits {
     pub subdivided_triangles: usize,
     /// Elements of a scene.
     pub elements: usize,
+    /// Texels that the objects of a scene take in its atlas.
+    pub atlas_texels: u64,
     /// Bytes of memory of all scenes, assets and uploads under way together; one that would not fit is refused before
     /// it is built.
     pub memory_bytes: u64,
@@ -196,6 +198,7 @@ impl Default for Limits {
             triangles: 20_000_000,
             subdivided_triangles: 40_000_000,
             elements: 20_000_000,
+            atlas_texels: rebake_core::atlas::DEFAULT_MAX_TEXELS,
             memory_bytes: crate::memory::default_limit(),
             scenes: 64,
             assets: 1024,

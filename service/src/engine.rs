@@ -7,14 +7,17 @@ use std::fmt::Debug;
 use std::sync::Arc;
 
 use glam::{DMat4, DVec3, Vec3};
-use rebake_core::export::{EXR_WIDTH, write_exr};
+pub(crate) use rebake_core::atlas::{Atlas, AtlasError, AtlasOptions};
+use rebake_core::export::{AtlasAbout, EXR_WIDTH, Precision, write_atlas_glb, write_exr, write_page_exr};
 pub(crate) use rebake_core::layers::{Layer, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER};
+use rebake_core::render::{Picture, ToneMap, auto_exposure};
 pub(crate) use rebake_core::scene::Object;
 use rebake_core::scene::{self, DEFAULT_MAX_ALBEDO, LoadLimits, NodeSource};
 pub use rebake_core::scene::{LoadError, Scene};
 pub(crate) use rebake_core::scene::{Outside, SkyPicture};
 pub use rebake_core::surface::Density;
 pub use rebake_core::surface::SurfaceError;
+use rebake_core::texels::read_page;
 pub use rebake_core::{
     Budget, Canceled, DragBasis, Edit, EditError, EditErrorKind, Focus, Importance, LightMap, Observer, Pass, Progress,
     Relight, Snapshot, TileMode, Tiles,
@@ -148,6 +151,7 @@ pub(crate) fn world_options(
     density: Density,
     stated: Stated,
     max_albedo: Option<f32>,
+    atlas: Option<AtlasOptions>,
     limits: &Limits,
 ) -> WorldOptions {
     WorldOptions {
@@ -157,6 +161,7 @@ pub(crate) fn world_options(
         max_triangles: limits.subdivided_triangles,
         stated,
         max_albedo: max_albedo.unwrap_or(DEFAULT_MAX_ALBEDO),
+        atlas,
     }
 }
 
@@ -167,6 +172,7 @@ pub(crate) fn build_again(
     density: Density,
     stated: Stated,
     max_albedo: Option<f32>,
+    atlas: Option<AtlasOptions>,
 ) -> Result<World, WorldError> {
     let options = WorldOptions {
         spacing: Some(density.spacing),
@@ -176,6 +182,7 @@ pub(crate) fn build_again(
         max_triangles: usize::MAX,
         stated,
         max_albedo: max_albedo.unwrap_or(DEFAULT_MAX_ALBEDO),
+        atlas,
     };
     World::new(scene, &options)
 }
@@ -301,6 +308,54 @@ fn push_element(bytes: &mut Vec<u8>, world: &World, slot: usize, object: u32) {
 /// A hash of all elements: two worlds with the same one have the same slots, bit for bit.
 pub(crate) fn layout_hash(world: &World) -> String {
     blake3::hash(&element_records(world)).to_hex().to_string()
+}
+
+/// An atlas of a world that has none of its own, one texel per spacing; objects stay where they lie in `earlier`.
+pub(crate) fn new_atlas(world: &World, earlier: Option<&Atlas>, max_texels: u64) -> Result<Atlas, AtlasError> {
+    world.new_atlas(earlier, AtlasOptions { texels_per_metre: None, max_texels })
+}
+
+/// Objects with their places in an atlas, and its pages with one value per slot, as binary glTF.
+pub(crate) fn atlas_glb(
+    (world, atlas): (&World, &Atlas),
+    values: &[Vec3],
+    about: &AtlasAbout,
+    observer: &dyn Observer,
+) -> Result<Vec<u8>, String> {
+    let read = |page| read_page(world, atlas, page, values, observer);
+    let pages = (0..atlas.pages().len()).map(read).collect::<Result<Vec<_>, Canceled>>();
+    let pages = pages.map_err(|Canceled| "nobody waits for it".to_owned())?;
+    write_atlas_glb(world, atlas, &pages, about).map_err(|error| error.to_string())
+}
+
+/// As which file a page of an atlas leaves.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum AtlasPicture {
+    /// OpenEXR.
+    Exr(Precision),
+    /// PNG, with automatic exposure.
+    Png,
+}
+
+/// A page of an atlas with one value per slot, as a file, and the stops of its exposure where it is a PNG.
+pub(crate) fn atlas_page(
+    (world, atlas): (&World, &Atlas),
+    page: usize,
+    values: &[Vec3],
+    (picture, about): (AtlasPicture, &[(&str, &str)]),
+    observer: &dyn Observer,
+) -> Result<(Vec<u8>, Option<f32>), String> {
+    let page = read_page(world, atlas, page, values, observer).map_err(|Canceled| "nobody waits for it".to_owned())?;
+    let file = match picture {
+        AtlasPicture::Exr(precision) => (write_page_exr(&page, precision, about), None),
+        AtlasPicture::Png => {
+            let valid = page.values.iter().zip(&page.valid).filter(|(_, valid)| **valid);
+            let exposure = auto_exposure(&valid.map(|(value, _)| *value).collect::<Vec<_>>());
+            let picture = Picture { width: page.width, height: page.height, pixels: page.values };
+            (picture.png(exposure, ToneMap::default()), Some(exposure))
+        }
+    };
+    file.0.map(|bytes| (bytes, file.1)).map_err(|error| error.to_string())
 }
 
 /// The subdivided mesh with the values as vertex colours, as binary glTF.

@@ -120,7 +120,7 @@ impl App {
         let of = |scene: &SceneEntry| {
             let published = scene.published();
             let world = (published.world.memory_bytes() as u64).max(scene.accepted_bytes());
-            let light = published.memory_bytes() + scene.aside_bytes(&published);
+            let light = published.memory_bytes() + scene.aside_bytes(&published) + scene.made_atlas.memory_bytes();
             world + light as u64 + scene.layers_to_come(&published)
         };
         self.scenes.all().iter().map(|scene| of(scene)).sum::<u64>() + self.assets.memory_bytes()

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use jiff::Timestamp;
 
 use crate::api::{edit_parse, skies};
-use crate::engine::{self, Edit, World};
+use crate::engine::{self, AtlasOptions, Edit, World};
 use crate::jobs::budget::JobBudget;
 use crate::jobs::queue::{JobKind, JobState, Outcome, Priority};
 use crate::jobs::{JobSpec, new_record};
@@ -21,7 +21,7 @@ use crate::store::assets::Content;
 use crate::store::disk::{Disk, Saved, SavedEdit, SavedScene};
 use crate::store::history::{self, History, Turn};
 use crate::store::lighting::{Lighting, Sequence, Unlit, unknown_of_saved};
-use crate::store::records::{JobRecord, LightRecord, SceneRecord, StoredOutside};
+use crate::store::records::{JobRecord, LightRecord, SceneRecord, StoredAtlas, StoredOutside};
 use crate::store::scenes::{Head, IdempotencyKeys, NewScene, SceneEntry, SceneState};
 use crate::store::versions::{Published, RESERVE};
 use crate::unit::LightUnit;
@@ -151,7 +151,11 @@ fn build(app: &App, glb: &[u8], record: &SceneRecord) -> Result<World, StoreErro
     let outside = skies::outside(record.environment, &record.outside, &app.assets);
     outside.map_err(|problem| unreadable(&problem))?.add_to(&mut scene);
     scene.groups = record.groups.clone();
-    engine::build_again(scene, record.density(), record.mode.stated(), record.max_albedo)
+    let atlas = record.atlas.map(|StoredAtlas { texels_per_metre, max_texels }| AtlasOptions {
+        texels_per_metre: Some(texels_per_metre),
+        max_texels,
+    });
+    engine::build_again(scene, record.density(), record.mode.stated(), record.max_albedo, atlas)
         .map_err(|error| unreadable(&error))
 }
 
@@ -255,6 +259,7 @@ fn damaged(app: &App, saved: &SavedScene, error: &StoreError) -> SceneEntry {
         outside: StoredOutside::default(),
         unit: LightUnit::default(),
         max_albedo: None,
+        atlas: None,
         groups: BTreeMap::new(),
         target: None,
         created_at: Timestamp::UNIX_EPOCH,
@@ -362,6 +367,7 @@ mod tests {
                 unit: LightUnit::default(),
                 groups: BTreeMap::new(),
                 max_albedo: None,
+                atlas: None,
                 target: None,
                 created_at: Timestamp::now(),
             };

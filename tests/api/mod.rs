@@ -3,6 +3,7 @@
 mod access;
 mod ambient;
 mod assets;
+mod atlas;
 mod browser;
 mod crash;
 mod dashboard;

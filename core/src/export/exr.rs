@@ -1,4 +1,4 @@
-//! OpenEXR: light maps as 32-bit float pictures, one pixel per element.
+//! OpenEXR: light maps as 32-bit float pictures, one pixel per element, and pages of atlases.
 
 use std::collections::BTreeSet;
 use std::io::Cursor;
@@ -6,11 +6,12 @@ use std::io::Cursor;
 use ::exr::meta::attribute::{AttributeValue, Text};
 use ::exr::prelude::{
     AnyChannel, AnyChannels, Blocks, Compression, Encoding, FlatSamples, Image, Layer, LayerAttributes, LineOrder,
-    SmallVec, WritableImage,
+    SmallVec, WritableImage, f16,
 };
 use glam::Vec3;
 
 use super::ExportError;
+use crate::texels::TexelPage;
 
 /// Pixels per row that suit a light map: element `i` is pixel `(i % EXR_WIDTH, i / EXR_WIDTH)`.
 pub const EXR_WIDTH: usize = 1024;
@@ -47,7 +48,7 @@ pub fn write_exr(
     let count = i32::try_from(elements).map_err(|_| ExportError::TooLarge)?;
     let layout = "Pixel (x, y) is element y * width + x. The last row is padded with zeros.";
     let own = [("elements", AttributeValue::I32(count)), ("layout", AttributeValue::Text(text(layout)))];
-    write((width, height), layers, &own, attributes)
+    write((width, height), channels(layers, (width, height))?, &own, attributes)
 }
 
 /// Writes linear RGB, row by row from the top, as a 32-bit float OpenEXR picture. The same input gives the same bytes.
@@ -58,21 +59,62 @@ pub fn write_picture_exr(pixels: &[Vec3], width: usize, attributes: &[(&str, &st
     if pixels.is_empty() || width == 0 || !pixels.len().is_multiple_of(width) {
         return Err(ExportError::Lists("the picture".to_owned()));
     }
-    write((width, pixels.len() / width), &[("", pixels)], &[], attributes)
+    let size = (width, pixels.len() / width);
+    write(size, channels(&[("", pixels)], size)?, &[], attributes)
+}
+
+/// How exact the numbers of a picture are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Precision {
+    /// 16 bits: three digits, up to 65504.
+    #[default]
+    Half,
+    /// 32 bits.
+    Float,
+}
+
+/// Writes a page of an atlas as an OpenEXR picture with the channels `R`, `G` and `B`, and `valid`: 1 where a texel was
+/// read from a surface, 0 where it is filled or empty. The same input gives the same bytes.
+///
+/// # Errors
+/// [`ExportError`]: no texels, attribute names that are not possible.
+pub fn write_page_exr(
+    page: &TexelPage,
+    precision: Precision,
+    attributes: &[(&str, &str)],
+) -> Result<Vec<u8>, ExportError> {
+    let texels = page.width * page.height;
+    if texels == 0 || page.values.len() != texels || page.valid.len() != texels {
+        return Err(ExportError::Lists("the page".to_owned()));
+    }
+    let channel = |part: usize| {
+        let values = page.values.iter().map(|value| value[part]);
+        match precision {
+            Precision::Half => FlatSamples::F16(values.map(to_half).collect()),
+            Precision::Float => FlatSamples::F32(values.collect()),
+        }
+    };
+    let valid = page.valid.iter().map(|valid| if *valid { f16::ONE } else { f16::ZERO }).collect();
+    let mut list = SmallVec::new();
+    list.push(AnyChannel::new(text("valid"), FlatSamples::F16(valid)));
+    list.extend(["R", "G", "B"].iter().enumerate().map(|(k, name)| AnyChannel::new(text(name), channel(k))));
+    write((page.width, page.height), AnyChannels::sort(list), &[], attributes)
+}
+
+/// What is finite stays so.
+fn to_half(value: f32) -> f16 {
+    let most = f16::MAX.to_f32();
+    f16::from_f32(if value.is_finite() { value.clamp(-most, most) } else { value })
 }
 
 fn write(
     (width, height): (usize, usize),
-    layers: &[(&str, &[Vec3])],
+    channels: AnyChannels<FlatSamples>,
     own: &[(&str, AttributeValue)],
     attributes: &[(&str, &str)],
 ) -> Result<Vec<u8>, ExportError> {
-    if width > MAX_SIDE || height > MAX_SIDE {
-        return Err(ExportError::TooLarge);
-    }
     let encoding =
         Encoding { compression: Compression::ZIP16, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
-    let channels = channels(layers, width * height)?;
     let attributes = layer_attributes(own, attributes)?;
     let image = Image::from_layer(Layer::new((width, height), attributes, encoding, channels));
     let mut file = Cursor::new(Vec::new());
@@ -82,7 +124,13 @@ fn write(
     Ok(file)
 }
 
-fn channels(layers: &[(&str, &[Vec3])], pixels: usize) -> Result<AnyChannels<FlatSamples>, ExportError> {
+fn channels(
+    layers: &[(&str, &[Vec3])],
+    (width, height): (usize, usize),
+) -> Result<AnyChannels<FlatSamples>, ExportError> {
+    if width > MAX_SIDE || height > MAX_SIDE {
+        return Err(ExportError::TooLarge);
+    }
     let mut names = BTreeSet::new();
     let mut list = SmallVec::new();
     for (layer, values) in layers {
@@ -93,7 +141,7 @@ fn channels(layers: &[(&str, &[Vec3])], pixels: usize) -> Result<AnyChannels<Fla
                 return Err(ExportError::Name((*layer).to_owned()));
             }
             let mut samples: Vec<f32> = values.iter().map(|value| value[part]).collect();
-            samples.resize(pixels, 0.0);
+            samples.resize(width * height, 0.0);
             list.push(AnyChannel::new(text, FlatSamples::F32(samples)));
         }
     }
@@ -209,6 +257,33 @@ mod tests {
         let write = || write_exr(&[("Lampe über dem Tisch", &values)], 16, &attributes).unwrap();
         let first = write();
         assert!((0..20).all(|_| write() == first));
+    }
+
+    #[test]
+    fn pages_are_read_back_at_their_precision() {
+        let page = TexelPage {
+            width: 5,
+            height: 3,
+            values: (0..15).map(|k| Vec3::new(k as f32 * 0.1, 1e6, f32::INFINITY)).collect(),
+            valid: (0..15).map(|k| k % 2 == 0).collect(),
+        };
+        for precision in [Precision::Half, Precision::Float] {
+            let file = write_page_exr(&page, precision, &[("lightMapVersion", "3")]).unwrap();
+            let image = read().no_deep_data().largest_resolution_level().all_channels().first_valid_layer();
+            let layer = image.all_attributes().from_buffered(Cursor::new(file)).unwrap().layer_data;
+            assert_eq!((layer.size.0, layer.size.1), (5, 3));
+            let names: Vec<String> = layer.channel_data.list.iter().map(|channel| channel.name.to_string()).collect();
+            assert_eq!(names, ["B", "G", "R", "valid"]);
+            let samples: Vec<Vec<f32>> =
+                layer.channel_data.list.iter().map(|channel| channel.sample_data.values_as_f32().collect()).collect();
+            let is_half = precision == Precision::Half;
+            assert!(samples[0].iter().all(|value| *value == f32::INFINITY));
+            assert!(samples[1].iter().all(|value| *value == if is_half { 65504.0 } else { 1e6 }));
+            let error = |(value, k): (&f32, usize)| (value - page.values[k].x).abs();
+            let most = samples[2].iter().zip(0..).map(error).fold(0.0, f32::max);
+            assert!(if is_half { most < 1e-3 && most > 0.0 } else { most == 0.0 }, "{most}");
+            assert!((0..15).all(|k| samples[3][k] == f32::from(u8::from(page.valid[k]))));
+        }
     }
 
     #[test]

@@ -3,10 +3,14 @@
 mod exr;
 mod glb;
 mod lightmap;
+mod png;
 
-pub use self::exr::{EXR_WIDTH, write_exr, write_picture_exr};
-pub use self::glb::{MeshExport, ObjectExport, write_glb, write_object_glb, write_scene_glb};
+pub use self::exr::{EXR_WIDTH, Precision, write_exr, write_page_exr, write_picture_exr};
+pub use self::glb::{
+    AtlasAbout, MeshExport, ObjectExport, write_atlas_glb, write_glb, write_object_glb, write_scene_glb,
+};
 pub use self::lightmap::{lightmap_exr, lightmap_glb, object_glb};
+pub use self::png::{srgb_from_linear, write_png};
 
 /// Why a file could not be written.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

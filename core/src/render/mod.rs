@@ -14,10 +14,11 @@ mod tests;
 mod tone;
 mod values;
 
+pub use crate::export::{srgb_from_linear, write_png};
 pub use camera::{Viewpoint, ViewpointError};
 pub use palette::{Palette, nice_scale};
 pub use read::{Loaded, read_picture};
-pub use tone::{ToneMap, auto_exposure, srgb_from_linear};
+pub use tone::{ToneMap, auto_exposure};
 pub use values::{ValuePicture, change_of, change_since, render_values, stated_errors, visible_slots};
 
 use glam::Vec3;
@@ -113,24 +114,6 @@ impl Picture {
     pub fn exr(&self, attributes: &[(&str, &str)]) -> Result<Vec<u8>, ExportError> {
         crate::export::write_picture_exr(&self.pixels, self.width, attributes)
     }
-}
-
-/// Writes 8-bit RGB as PNG.
-///
-/// # Errors
-/// [`ExportError`] where the bytes are not `3 · width · height`, or not possible in the format.
-pub fn write_png(width: usize, height: usize, rgb: &[u8]) -> Result<Vec<u8>, ExportError> {
-    use image::ImageEncoder;
-    let mut file = Vec::new();
-    let side = |n: usize| u32::try_from(n).map_err(|_| ExportError::TooLarge);
-    if width == 0 || height == 0 || rgb.len() != 3 * width * height {
-        return Err(ExportError::Lists("the picture".to_owned()));
-    }
-    use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-    PngEncoder::new_with_quality(&mut file, CompressionType::Default, FilterType::Adaptive)
-        .write_image(rgb, side(width)?, side(height)?, image::ExtendedColorType::Rgb8)
-        .map_err(|error| ExportError::Png(error.to_string()))?;
-    Ok(file)
 }
 
 /// Evaluates `pixel(x, y)` for all pixels in parallel. The result does not depend on how the work is cut.

@@ -2,6 +2,8 @@
 
 use glam::{Mat3, Vec3};
 
+use crate::export::srgb_from_linear;
+
 /// How radiance becomes display values.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ToneMap {
@@ -79,11 +81,6 @@ fn neutral(color: Vec3) -> Vec3 {
     let new_peak = 1.0 - d * d / (peak + d - START);
     let g = 1.0 - 1.0 / (DESATURATION * (peak - new_peak) + 1.0);
     (color * (new_peak / peak)).lerp(Vec3::splat(new_peak), g)
-}
-
-/// The sRGB transfer function (IEC 61966-2-1).
-pub fn srgb_from_linear(c: f32) -> f32 {
-    if c <= 0.003_130_8 { 12.92 * c } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 }
 }
 
 /// Stops that bring the geometric mean luminance of what is not black to middle grey (0.18), in thirds of a stop: what

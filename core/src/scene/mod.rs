@@ -115,7 +115,8 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
     /// Per triangle: index into [`Object::materials`].
     pub triangle_materials: Vec<u32>,
-    /// Two sets of texture coordinates per vertex, u to the right, v down; empty where no material reads them.
+    /// Two sets of texture coordinates per vertex, u to the right, v down. The first is empty where no material reads it;
+    /// the second, which light maps may use, where the file has none that can be read.
     pub texcoords: [Vec<Vec2>; 2],
     /// Linear RGBA per vertex, which multiplies the base colour; empty where the file has none.
     pub colors: Vec<Vec4>,

@@ -11,6 +11,7 @@ use super::check::{check_kind, check_strength, check_transform, error, invalid, 
 use super::motion::{is_rigid, move_light, transformed_light};
 use super::openings::Openings;
 use super::{Placed, Transition, Trees, Validity, World, WorldError, probe};
+use crate::atlas::Atlas;
 use crate::bvh::{BuildQuality, Bvh};
 use crate::edit::{Edit, EditError, EditErrorKind, Lights, name_matches};
 use crate::scene::{Light, LightKind, Object, Scene, merge_as_object};
@@ -307,6 +308,7 @@ impl Draft {
             world.validity = Arc::new(Validity::updated(&before.validity, &world, &ranges, &grown));
             world.look_around(Some(&grown), |placed| come.contains(&placed.key));
             world.find_behind(Some(&grown), |placed| come.contains(&placed.key));
+            world.atlas = next_atlas(&world)?;
         }
         let come_trees = world.placed.iter().filter(|p| come.contains(&p.key));
         let come_tree = merged_tree(come_trees.map(|p| &**p), &world.trees.openings);
@@ -393,6 +395,13 @@ fn new_rows(before: &World, after: &World, ranges: &[Range<u32>]) -> Vec<u32> {
     let mut rows: Vec<u32> = came.chain(came_out).filter(|&slot| is_computed(slot)).collect();
     rows.sort_unstable();
     rows
+}
+
+/// The atlas of a world whose own is that before an edit.
+fn next_atlas(world: &World) -> Result<Option<Arc<Atlas>>, EditError> {
+    let Some(atlas) = &world.atlas else { return Ok(None) };
+    let next = atlas.next(world.atlas_items());
+    next.map(|next| Some(Arc::new(next))).map_err(|e| error("edits", e.to_string(), EditErrorKind::TooLarge))
 }
 
 fn too_large(error: &WorldError) -> EditError {

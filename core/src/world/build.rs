@@ -49,6 +49,7 @@ pub(super) fn build(mut scene: Scene, options: &WorldOptions) -> Result<World, W
         emitters: Arc::default(),
         validity: Arc::default(),
         sight: BTreeMap::new(),
+        atlas: None,
         next_key,
     };
     world.emitters = Arc::new(world.resolve_emitters());
@@ -57,6 +58,7 @@ pub(super) fn build(mut scene: Scene, options: &WorldOptions) -> Result<World, W
     world.validity = Arc::new(Validity::of_all(&world));
     world.look_around(None, |_| true);
     world.find_behind(None, |_| true);
+    world.atlas = options.atlas.map(|atlas| world.new_atlas(None, atlas)).transpose()?.map(Arc::new);
     Ok(world)
 }
 

@@ -43,6 +43,7 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use crate::atlas::{Atlas, AtlasError, AtlasOptions, Item};
 use crate::chunks::Chunks;
 use crate::scene::{DEFAULT_MAX_ALBEDO, Scene};
 use crate::space::{Layout, Placement, Space};
@@ -65,6 +66,8 @@ pub struct WorldOptions {
     /// Largest albedo that light meets, from 0 to 1: where a surface has more, of the file, an inserted asset or a
     /// repaint, this counts. In a closed room of albedo 1 light has no end.
     pub max_albedo: f32,
+    /// Its objects have places in an atlas, which edits keep ([`World::atlas`]).
+    pub atlas: Option<AtlasOptions>,
 }
 
 /// Light whose error is stated, and by which samples are spent.
@@ -97,6 +100,7 @@ impl Default for WorldOptions {
             max_triangles: 40_000_000,
             stated: Stated::Full,
             max_albedo: DEFAULT_MAX_ALBEDO,
+            atlas: None,
         }
     }
 }
@@ -113,6 +117,9 @@ pub enum WorldError {
     /// `max_albedo` is no number from 0 to 1.
     #[error("max_albedo: must be a number from 0 to 1, not {0}")]
     MaxAlbedo(f32),
+    /// There is no atlas for it.
+    #[error(transparent)]
+    Atlas(#[from] AtlasError),
     /// An object cannot be subdivided.
     #[error("object {object:?}: {source}")]
     Surface {
@@ -189,6 +196,7 @@ pub struct World {
     pub(crate) validity: Arc<Validity>,
     /// By key of the object.
     pub(crate) sight: BTreeMap<u32, Arc<Hidden>>,
+    pub(crate) atlas: Option<Arc<Atlas>>,
     pub(crate) next_key: u32,
 }
 
@@ -214,6 +222,27 @@ impl World {
         let max_elements = max_elements.max(self.element_count());
         let max_triangles = max_triangles.max(self.triangle_count());
         World { options: WorldOptions { max_elements, max_triangles, ..self.options }, ..self }
+    }
+
+    /// Where its objects lie in an atlas, where it was made with one ([`WorldOptions::atlas`]).
+    pub fn atlas(&self) -> Option<&Arc<Atlas>> {
+        self.atlas.as_ref()
+    }
+
+    /// An atlas of its objects. Those that are in `earlier` and have not changed in size stay where they are there;
+    /// without it, or where it has another density, all of them are laid out.
+    ///
+    /// # Errors
+    /// [`AtlasError`]
+    pub fn new_atlas(&self, earlier: Option<&Atlas>, options: AtlasOptions) -> Result<Atlas, AtlasError> {
+        let empty = Atlas::new(options, self.spacing())?;
+        let earlier = earlier.filter(|earlier| earlier.texels_per_metre() == empty.texels_per_metre());
+        earlier.unwrap_or(&empty).next(self.atlas_items())
+    }
+
+    fn atlas_items(&self) -> impl Iterator<Item = Item<'_>> {
+        let objects = self.scene.objects.iter().zip(&self.placed);
+        objects.map(|(object, placed)| Item { object, with_back: placed.with_back })
     }
 
     /// What light maps state the error of.
@@ -297,7 +326,8 @@ impl World {
         };
         let objects = objects + self.placed.iter().map(albedos).sum::<usize>();
         let space = self.space.memory_bytes() + self.validity.memory_bytes() + sight;
-        space + self.trees.memory_bytes() + objects + self.scene.texture_bytes()
+        let atlas = self.atlas.as_ref().map_or(0, |atlas| atlas.memory_bytes());
+        space + self.trees.memory_bytes() + objects + self.scene.texture_bytes() + atlas
     }
 
     /// Slots whose value is computed, in spatial order within objects.

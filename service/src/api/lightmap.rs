@@ -1,23 +1,31 @@
 //! The whole light map as a file.
 
 use std::borrow::Cow;
+use std::sync::Arc;
 
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
 use glam::Vec3;
 use rebake_core::delta::{self, Frame};
+use rebake_core::export::AtlasAbout;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
+use super::atlas::{BYTES_PER_TEXEL, atlas_of};
 use super::coding::encode_body;
 use super::elements::VERSION;
 use super::extract::{ApiPath, ApiQuery, Coding, ETags, first_named};
 use super::layers;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::PartName;
+use super::uploads::memory_problem;
 use super::{Shared, etag, find_scene};
 use crate::engine;
+use crate::pictures::Watch;
+use crate::state::App;
+use crate::store::scenes::SceneEntry;
 use crate::store::versions::{Published, Wanted};
 
 /// File formats of a light map.
@@ -48,6 +56,16 @@ impl Format {
     }
 }
 
+/// How a light map is laid out in glTF.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum GlbLayout {
+    /// By element: the subdivided mesh.
+    Vertices,
+    /// By texel: objects as they are, with `TEXCOORD_1` on pages of the atlas.
+    Atlas,
+}
+
 /// What to fetch.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
@@ -56,6 +74,10 @@ pub(super) struct LightmapQuery {
     /// File format; by `Accept`, else `raw`, where absent.
     #[param(inline)]
     format: Option<Format>,
+    /// Of `glb`: `vertices`, or `atlas`, objects with their own triangles, `TEXCOORD_1` on the pages of the atlas, and
+    /// those as 8-bit sRGB pictures over the `gain` of `asset.extras.light_map`. As the scene was uploaded where absent.
+    #[param(inline)]
+    layout: Option<GlbLayout>,
     /// `full`, `direct` or `indirect`: that part of all light; the scene's mode where absent. The name of a layer
     /// (between double quotes where it is one of these words): its light at reference strengths. `all`: every layer,
     /// its direct and indirect light apart, in a picture with channels `<layer>.direct.R` and so on.
@@ -96,11 +118,20 @@ pub(super) async fn get(
         (header::VARY, "accept, accept-encoding".to_owned()),
     ];
     let format = query.format.unwrap_or_else(|| Format::accepted(&headers));
-    let chosen = choose(&published, &query, format)?;
+    let chosen = choose(&published, query.layer.as_deref(), query.part)?;
+    check_all(&published, &chosen, format)?;
+    if query.layout.is_some() && format != Format::Glb {
+        return Err(Problem::field(Kind::InvalidQuery, "layout", "goes with format=glb"));
+    }
     if known.is_some_and(|tags| tags.matches_weakly(&version)) {
         return Ok((StatusCode::NOT_MODIFIED, about).into_response());
     }
     let coding = Coding::accepted(&headers);
+    let default = if published.world.atlas().is_some() { GlbLayout::Atlas } else { GlbLayout::Vertices };
+    if format == Format::Glb && query.layout.unwrap_or(default) == GlbLayout::Atlas {
+        let body = atlas_glb(&app, &scene, published, chosen, coding).await?;
+        return Ok((about, [(header::CONTENT_TYPE, format.content_type())], coding.headers(), body).into_response());
+    }
     let encode = move || {
         let file = file(&published, format, &chosen)?;
         encode_body(coding, file).map_err(|error| error.to_string())
@@ -109,54 +140,94 @@ pub(super) async fn get(
     Ok((about, [(header::CONTENT_TYPE, format.content_type())], coding.headers(), body).into_response())
 }
 
+/// Objects with their places in the atlas, and its pages.
+async fn atlas_glb(
+    app: &Arc<App>,
+    scene: &Arc<SceneEntry>,
+    published: Arc<Published>,
+    chosen: Chosen,
+    coding: Coding,
+) -> ApiResult<Bytes> {
+    let atlas = atlas_of(app, scene, &published).await?;
+    let texels: u64 = atlas.pages().iter().map(|page| u64::from(page.width) * u64::from(page.height)).sum();
+    let (watch, its_app) = (Watch::default(), Arc::clone(app));
+    let _guard = watch.guard();
+    let turn = app.pictures.turns.clone().acquire_owned().await.map_err(Problem::internal)?;
+    let work = move || {
+        let _turn = turn;
+        let promise = its_app.promise_memory(texels * BYTES_PER_TEXEL, 0);
+        let _promise = promise.map_err(|full| memory_problem("file", full))?;
+        let (values, _) = values(&published, &chosen).map_err(Problem::internal)?;
+        let about = AtlasAbout { version: published.version, estimated_rmse: published.estimated_rmse };
+        let file = engine::atlas_glb((&published.world, &atlas), &values, &about, &watch).map_err(Problem::internal)?;
+        encode_body(coding, file).map_err(Problem::internal)
+    };
+    app.compute.draw(work).await?
+}
+
 /// The whole map's part, a layer's, or all layers.
-enum Chosen {
+pub(super) enum Chosen {
     Map(Wanted),
     Layer(String, Wanted),
     All,
 }
 
-fn choose(published: &Published, query: &LightmapQuery, format: Format) -> ApiResult<Chosen> {
+/// What the query parameters `layer` and `part` say.
+pub(super) fn choose(published: &Published, layer: Option<&str>, part: Option<PartName>) -> ApiResult<Chosen> {
     let invalid = |field: &str, reason: &str| Err(Problem::field(Kind::InvalidQuery, field, reason));
-    let part = query.part.map(Wanted::from);
+    let part = part.map(Wanted::from);
     let mode = Wanted::Light(published.mode());
-    match query.layer.as_deref().map(|text| layers::choose(published, text)).transpose()? {
+    match layer.map(|text| layers::choose(published, text)).transpose()? {
         None => Ok(Chosen::Map(part.unwrap_or(mode))),
         Some(layers::Chosen::Layer(name)) => Ok(Chosen::Layer(name, part.unwrap_or(mode))),
         Some(_) if part.is_some() => invalid("part", "says the same as this `layer`, or otherwise: give one of them"),
         Some(layers::Chosen::Part(part)) => Ok(Chosen::Map(Wanted::Light(part))),
-        Some(layers::Chosen::All) if format != Format::Exr => invalid("layer", "`all` has to come with `format=exr`"),
-        Some(layers::Chosen::All) if published.layers.is_empty() => {
-            invalid("layer", "the light map has no layers before a light is relit or lights are grouped")
-        }
         Some(layers::Chosen::All) => Ok(Chosen::All),
     }
 }
 
-fn file(published: &Published, format: Format, chosen: &Chosen) -> Result<Vec<u8>, String> {
-    let version = published.version.to_string();
-    let mut about = vec![("lightMapVersion", version.as_str())];
-    let (values, weight);
+fn check_all(published: &Published, chosen: &Chosen, format: Format) -> ApiResult<()> {
+    let invalid = |reason: &str| Err(Problem::field(Kind::InvalidQuery, "layer", reason));
     match chosen {
-        Chosen::All => {
-            let layers = layers::to_json(published);
-            return engine::layers_exr(&published.map.layers, &[about[0], ("lightMapLayers", &layers)]);
+        Chosen::All if format != Format::Exr => invalid("`all` has to come with `format=exr`"),
+        Chosen::All if published.layers.is_empty() => {
+            invalid("the light map has no layers before a light is relit or lights are grouped")
         }
+        Chosen::All | Chosen::Map(_) | Chosen::Layer(..) => Ok(()),
+    }
+}
+
+/// What is sent, with a name and a text for each thing that a file says of itself.
+type Described<'a> = (Cow<'a, [Vec3]>, Vec<(&'static str, String)>);
+
+/// One value per slot of what was chosen, and what it is; an error where that is all layers, or one that is gone.
+pub(super) fn values<'a>(published: &'a Published, chosen: &Chosen) -> Result<Described<'a>, String> {
+    let mut about = vec![("lightMapVersion", published.version.to_string())];
+    let values = match chosen {
+        Chosen::All => return Err("several layers have no single values".to_owned()),
         Chosen::Map(wanted) => {
-            values = published.deliver(*wanted);
-            about.push(("lightMapLayer", wanted.as_str()));
+            about.push(("lightMapLayer", wanted.as_str().to_owned()));
+            published.deliver(*wanted)
         }
         Chosen::Layer(name, wanted) => {
-            values = published.deliver_layer(name, *wanted).ok_or("the layer is gone")?;
             let layer = published.layer(name).ok_or("the layer is gone")?;
-            weight = layer.weight.to_array().map(|w| w.to_string()).join(" ");
-            about.extend([
-                ("lightMapLayer", name.as_str()),
-                ("lightMapPart", wanted.as_str()),
-                ("lightMapWeight", &weight),
-            ]);
+            let weight = layer.weight.to_array().map(|w| w.to_string()).join(" ");
+            let part = wanted.as_str().to_owned();
+            about.extend([("lightMapLayer", name.clone()), ("lightMapPart", part), ("lightMapWeight", weight)]);
+            published.deliver_layer(name, *wanted).ok_or("the layer is gone")?
         }
+    };
+    Ok((values, about))
+}
+
+fn file(published: &Published, format: Format, chosen: &Chosen) -> Result<Vec<u8>, String> {
+    if matches!(chosen, Chosen::All) {
+        let (version, layers) = (published.version.to_string(), layers::to_json(published));
+        let about = [("lightMapVersion", version.as_str()), ("lightMapLayers", &layers)];
+        return engine::layers_exr(&published.map.layers, &about);
     }
+    let (values, about) = values(published, chosen)?;
+    let about: Vec<(&str, &str)> = about.iter().map(|(name, text)| (*name, text.as_str())).collect();
     match format {
         Format::Exr => engine::lightmap_exr(&values, &about),
         Format::Glb => engine::lightmap_glb(&published.world, &finite(&values)),

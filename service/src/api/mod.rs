@@ -1,6 +1,7 @@
 //! The HTTP API. Handlers unpack, call and wrap; what they call knows no HTTP.
 
 mod assets;
+pub mod atlas;
 mod between;
 mod coding;
 mod deltas;
@@ -71,6 +72,8 @@ pub(crate) fn router(app: Arc<App>) -> Router {
         .route("/v1/scenes/{scene}/lightmap/deltas", get(deltas::get))
         .route("/v1/scenes/{scene}/lightmap/deltas/{versions}", get(between::get))
         .route("/v1/scenes/{scene}/elements", get(elements::get))
+        .route("/v1/scenes/{scene}/atlas", get(atlas::get))
+        .route("/v1/scenes/{scene}/atlas/{page}", get(atlas::get_page))
         .route("/v1/scenes/{scene}/render", get(render::get))
         .route("/v1/scenes/{scene}/sample", post(sample::create))
         .route("/v1/assets", post(assets::create).get(assets::list))

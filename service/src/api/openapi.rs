@@ -13,8 +13,8 @@ use utoipa::openapi::{Ref, RefOr};
 
 use super::problem::{self, Kind, ProblemDocument};
 use super::{
-    assets, between, deltas, edit_types, edits, elements, events, health, history, jobs, lightmap, objects, render,
-    sample, scenes, types, uploads,
+    assets, atlas, between, deltas, edit_types, edits, elements, events, health, history, jobs, lightmap, objects,
+    render, sample, scenes, types, uploads,
 };
 
 #[derive(OpenApi)]
@@ -28,7 +28,7 @@ use super::{
         uploads::create, scenes::list, scenes::get, scenes::patch, scenes::delete, assets::create, assets::list, assets::delete, edits::create,
         history::list,
         jobs::list, jobs::get, jobs::cancel, jobs::pause, jobs::resume, events::of_job, events::of_scene,
-        objects::list, objects::get, lightmap::get, deltas::get, between::get, elements::get, render::get, sample::create, health::alive, health::ready, health::metrics, health::problem, get
+        objects::list, objects::get, lightmap::get, deltas::get, between::get, elements::get, atlas::get, atlas::get_page, render::get, sample::create, health::alive, health::ready, health::metrics, health::problem, get
     ),
     components(schemas(ProblemDocument, types::SnapshotEvent, types::SceneEvent, types::SceneSummary, edit_types::EditRequest)),
     servers((url = "/", description = "The service that tells this")),
@@ -153,9 +153,11 @@ fn problems_of(operation: &str) -> &'static [Kind] {
         "scene_events" => &[UnknownScene, SceneDamaged, TooManyStreams],
         "list_objects" => &[InvalidQuery, UnknownScene, SceneDamaged],
         "get_object" => &[InvalidQuery, UnknownScene, SceneDamaged, ObjectNotFound],
-        "get_lightmap" => &[InvalidQuery, UnknownScene, SceneDamaged],
+        "get_lightmap" => &[InvalidQuery, UnknownScene, SceneDamaged, SceneTooLarge, NoMemory],
         "get_deltas" => &[InvalidQuery, UnknownScene, SceneDamaged, VersionAhead, TooManyStreams],
         "get_delta_between" => &[UnknownScene, SceneDamaged, UnknownVersion, VersionForgotten],
+        "get_atlas" => &[UnknownScene, SceneDamaged, SceneTooLarge],
+        "get_atlas_page" => &[InvalidQuery, UnknownScene, SceneDamaged, SceneTooLarge, NotFound, NoMemory],
         "get_elements" => &[UnknownScene, SceneDamaged],
         "render_scene" => &[InvalidQuery, UnknownScene, SceneDamaged, VersionForgotten],
         "sample_light" => &[

@@ -196,6 +196,7 @@ fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::
         state: scene.state().into(),
         mode: scene.mode,
         spacing: world.spacing(),
+        texels_per_metre: world.atlas().map(|atlas| atlas.texels_per_metre()),
         version: published.version,
         elements_version: published.elements_version,
         elements: world.slots() as u64,

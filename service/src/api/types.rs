@@ -79,6 +79,10 @@ pub struct Scene {
     /// Largest distance between neighbouring elements, metres.
     #[schema(example = 0.1)]
     pub spacing: f32,
+    /// Texels per metre of its atlas; absent where it was uploaded without one.
+    #[schema(example = 20.0)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub texels_per_metre: Option<f32>,
     /// Version of the light map; 0 before anything was published.
     #[schema(example = 7)]
     pub version: u64,

@@ -14,6 +14,7 @@ use serde::Deserialize;
 use tokio::sync::OwnedSemaphorePermit;
 use utoipa::IntoParams;
 
+use super::atlas::{self, LayoutName, atlas_problem};
 use super::edit_parse::{check_name, check_strength, to_budget};
 use super::edit_types::Budget;
 use super::extract::{ApiQuery, read_upload, require_content_type};
@@ -23,7 +24,7 @@ use super::scenes::scene_json;
 use super::skies;
 use super::types::{self, JobPriority};
 use super::{Shared, etag, prepare, require_serving};
-use crate::engine::{self, Density, LoadError, Scene, SurfaceError, World, WorldError};
+use crate::engine::{self, AtlasOptions, Density, LoadError, Scene, SurfaceError, World, WorldError};
 use crate::jobs::budget::JobBudget;
 use crate::jobs::queue::{Full, JobKind};
 use crate::jobs::{JobSpec, new_record};
@@ -84,6 +85,13 @@ pub(super) struct CreateQuery {
     /// repaints, counts as this. 0.95 where absent.
     #[param(example = 0.99)]
     max_albedo: Option<f32>,
+    /// How the light map is delivered. `vertices`, the default: by element, at the corners of a subdivided mesh. `atlas`:
+    /// objects also have rectangles on pages of texels, which stay where they are through all edits.
+    #[param(inline)]
+    layout: Option<LayoutName>,
+    /// Texels per metre of surface of the atlas; asks for one. One per spacing where absent.
+    #[param(example = 20.0)]
+    texels_per_metre: Option<f32>,
     /// Which lights have layers of their own in the light map, so that relighting them needs no rays: `shared` (none,
     /// the default; lights that are relit get one then), `each` (every light; at most 15), or a JSON object of layers
     /// with their lights (at most 15; the other lights share one more).
@@ -188,6 +196,7 @@ pub(super) fn keep(
         outside: options.outside.clone(),
         unit: options.unit,
         max_albedo: options.max_albedo,
+        atlas: atlas::stored(about.density.spacing, options.atlas),
         groups: about.groups.clone(),
         target: options.target,
         created_at: Timestamp::now(),
@@ -261,6 +270,7 @@ pub(super) struct Options {
     outside: StoredOutside,
     unit: LightUnit,
     max_albedo: Option<f32>,
+    atlas: Option<AtlasOptions>,
     layers: Wanted,
     bake: bool,
     target: Option<JobBudget>,
@@ -270,6 +280,7 @@ pub(super) struct Options {
 impl Options {
     fn from_query(query: CreateQuery, app: &App) -> ApiResult<Options> {
         let outside = skies::asked_for(&query)?;
+        let atlas = atlas::asked_for(query.layout, query.texels_per_metre, &app.config.limits)?;
         let (bake, has_target) = (query.bake.unwrap_or(true), query.target.is_some());
         let target = read_target(&query, app)?;
         let name = query.name.unwrap_or_else(|| "scene".to_owned());
@@ -290,6 +301,7 @@ impl Options {
             outside,
             unit: query.unit.unwrap_or_default(),
             max_albedo: query.max_albedo,
+            atlas,
             layers: query
                 .layers
                 .map_or(Ok(Wanted::Shared), |text| Wanted::parse(&text, app.config.limits.name_chars))?,
@@ -372,8 +384,10 @@ pub(super) fn lay_out(app: &App, scene: Scene, density: Density, options: &Optio
     let of_layers = memory::estimate_layers(bytes, layers::count(&scene, &scene.groups));
     let what = if of_layers > 0 { "scene with its layers" } else { "scene" };
     let _promise = app.promise_memory(bytes.saturating_add(of_layers), 0).map_err(|full| memory_problem(what, full))?;
-    let world_options = engine::world_options(density, options.mode.stated(), options.max_albedo, limits);
+    let (stated, max_albedo) = (options.mode.stated(), options.max_albedo);
+    let world_options = engine::world_options(density, stated, max_albedo, options.atlas, limits);
     app.config.engine.build(scene, &world_options).map_err(|error| match error {
+        WorldError::Atlas(error) => atlas_problem(&error),
         WorldError::TooLarge { .. } | WorldError::Surface { source: SurfaceError::TooManyElements { .. }, .. } => {
             Problem::new(Kind::SceneTooLarge, error.to_string())
         }

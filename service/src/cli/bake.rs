@@ -9,9 +9,12 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use indicatif::ProgressBar;
 use rebake::Mode;
-use rebake_core::export::{lightmap_exr, lightmap_glb};
+use rebake::api::atlas::AtlasDocument;
+use rebake_core::atlas::AtlasOptions;
+use rebake_core::export::{Precision, lightmap_exr, lightmap_glb, write_page_exr};
 use rebake_core::scene::{LoadLimits, Scene, load_path};
-use rebake_core::{Budget, LightMap, Observer, Progress, Snapshot, World, WorldOptions};
+use rebake_core::texels::read_page;
+use rebake_core::{Budget, LightMap, Observer, Progress, Snapshot, Unobserved, World, WorldOptions};
 
 use super::exit::{self, Interrupted};
 use super::remote::Replacement;
@@ -26,6 +29,7 @@ it too and writes what there is by then. Same scene, same options, same seed: sa
 threads, unless time ended it.
   rebake bake room.glb -o room.exr --spacing 0.05 --samples 512
   rebake bake room.glb -o room.glb --target-rmse 0.01 --environment 1,1,1.2
+  rebake bake room.glb --atlas maps/ --texels-per-metre 30
   rebake bake yard.glb -o yard.exr --sky noon.hdr --sky-rotation 90";
 
 /// Arguments of `rebake bake`.
@@ -36,8 +40,20 @@ pub(super) struct BakeArgs {
     #[arg(value_name = "SCENE.glb")]
     file: PathBuf,
     /// File to write
-    #[arg(short, long, value_name = "OUT.{glb,exr}", value_parser = output_file)]
-    output: PathBuf,
+    #[arg(
+        short,
+        long,
+        value_name = "OUT.{glb,exr}",
+        value_parser = output_file,
+        required_unless_present = "atlas"
+    )]
+    output: Option<PathBuf>,
+    /// Directory for the pages of an atlas, as half-float .exr, and atlas.json, which says where every object lies
+    #[arg(long, value_name = "DIR")]
+    atlas: Option<PathBuf>,
+    /// Texels per metre of the atlas [default: one per spacing]
+    #[arg(long, value_name = "N", value_parser = positive, requires = "atlas")]
+    texels_per_metre: Option<f64>,
     /// Largest distance between neighbouring elements, metres [default: from the scene's size]
     #[arg(long, value_name = "METRES", value_parser = positive)]
     spacing: Option<f64>,
@@ -102,11 +118,16 @@ fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
     let start = Instant::now();
     let scene = load_scene(&args.file, &args.sky)?;
     // Opened now: a place that cannot be written is better known before the bake than after it.
-    let mut out = Replacement::begin(&args.output)?;
+    let out = args.output.as_deref().map(Replacement::begin).transpose()?;
+    if let Some(directory) = &args.atlas {
+        std::fs::create_dir_all(directory).with_context(|| format!("cannot make {}", directory.display()))?;
+    }
     let spinner = ui::spinner("elements");
     let stated = args.mode.stated();
     let spacing = args.spacing.map(|spacing| spacing as f32);
-    let options = WorldOptions { spacing, stated, ..WorldOptions::default() };
+    let texels_per_metre = args.texels_per_metre.map(|density| density as f32);
+    let atlas = args.atlas.is_some().then(|| AtlasOptions { texels_per_metre, ..AtlasOptions::default() });
+    let options = WorldOptions { spacing, stated, atlas, ..WorldOptions::default() };
     let world = World::new(scene, &options);
     spinner.finish_and_clear();
     let world = world?;
@@ -124,9 +145,15 @@ fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
     let done = Instant::now();
 
     let values = world.delivered(&map, args.mode.part());
-    let file = if is_glb(&args.output) { lightmap_glb(&world, &values) } else { lightmap_exr(&values) };
-    out.write(&file.with_context(|| format!("cannot write {}", args.output.display()))?)?;
-    let bytes = out.finish()?;
+    let mut written = Vec::new();
+    if let Some((mut out, path)) = out.zip(args.output.as_deref()) {
+        let file = if is_glb(path) { lightmap_glb(&world, &values) } else { lightmap_exr(&values) };
+        out.write(&file.with_context(|| format!("cannot write {}", path.display()))?)?;
+        written.push((path, out.finish()?));
+    }
+    if let Some(directory) = &args.atlas {
+        written.push((directory, write_atlas(&world, &values, directory)?));
+    }
 
     let (scene_time, bake_time) = (ready - start, done - ready);
     let line = |name: &str, text: String| ui::out(&format!("{name:<13} {text}"));
@@ -136,8 +163,29 @@ fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
     let times = (scene_time.as_secs_f64(), bake_time.as_secs_f64());
     line("time", format!("{} scene, {} bake", ui::seconds(times.0), ui::seconds(times.1)))?;
     line("stated error", ui::rmse(f64::from(map.estimated_rmse(world.areas()))))?;
-    line("written", format!("{}, {}", args.output.display(), ui::bytes(bytes)))?;
+    for (path, bytes) in written {
+        line("written", format!("{}, {}", path.display(), ui::bytes(bytes)))?;
+    }
     if interrupted { Err(Interrupted("; what there was by then is written").into()) } else { Ok(()) }
+}
+
+/// Writes the pages of a world's atlas and where objects lie on them; answers how many bytes that is.
+fn write_atlas(world: &World, values: &[glam::Vec3], directory: &Path) -> anyhow::Result<u64> {
+    let atlas = world.atlas().context("the scene has no atlas")?;
+    let mut total = 0;
+    let mut write = |name: String, bytes: Vec<u8>| {
+        let mut out = Replacement::begin(&directory.join(name))?;
+        out.write(&bytes)?;
+        total += out.finish()?;
+        anyhow::Ok(())
+    };
+    for page in 0..atlas.pages().len() {
+        let texels = read_page(world, atlas, page, values, &Unobserved)?;
+        write(format!("page-{page}.exr"), write_page_exr(&texels, Precision::Half, &[])?)?;
+    }
+    let document = AtlasDocument::new(world, atlas, 0);
+    write("atlas.json".to_owned(), serde_json::to_vec_pretty(&document)?)?;
+    Ok(total)
 }
 
 /// Loads a file, says what it asked for and does not get, and adds light from outside.

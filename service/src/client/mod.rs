@@ -255,6 +255,21 @@ impl Client {
         self.send(self.request(Method::GET, &["v1", "scenes", scene, "lightmap"], &query)?).await
     }
 
+    /// Where objects lie in the scene's atlas: an `AtlasDocument` of the API, as JSON.
+    pub async fn atlas(&self, scene: &str) -> Result<serde_json::Value, ClientError> {
+        self.json(self.request(Method::GET, &["v1", "scenes", scene, "atlas"], &[])?).await
+    }
+
+    /// A page of the scene's atlas; `query` as the API describes it.
+    pub async fn atlas_page(
+        &self,
+        scene: &str,
+        page: usize,
+        query: &[(&str, String)],
+    ) -> Result<Response, ClientError> {
+        self.send(self.request(Method::GET, &["v1", "scenes", scene, "atlas", &page.to_string()], query)?).await
+    }
+
     /// A picture; `query` as the API describes it.
     pub async fn render(&self, scene: &str, query: &[(&str, String)]) -> Result<Response, ClientError> {
         self.send(self.request(Method::GET, &["v1", "scenes", scene, "render"], query)?).await

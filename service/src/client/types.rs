@@ -29,6 +29,10 @@ pub struct NewScene {
     pub sun_angle: Option<f32>,
     /// What the intensities of the file's point and spot lights are.
     pub unit: Option<LightUnit>,
+    /// `vertices` or `atlas`.
+    pub layout: Option<String>,
+    /// Texels per metre of the atlas.
+    pub texels_per_metre: Option<f32>,
     /// `shared`, `each` or a JSON object of layers with their lights.
     pub layers: Option<String>,
     /// What the scene works towards: samples per element …
@@ -55,6 +59,8 @@ impl NewScene {
             ("default_sky", self.default_sky.map(|is_wanted| is_wanted.to_string())),
             ("sun_angle", self.sun_angle.map(|degrees| degrees.to_string())),
             ("unit", self.unit.map(|unit| unit.name().to_owned())),
+            ("layout", self.layout.clone()),
+            ("texels_per_metre", self.texels_per_metre.map(|density| density.to_string())),
             ("layers", self.layers.clone()),
             ("samples_per_element", self.samples_per_element.map(|samples| samples.to_string())),
             ("max_seconds", self.max_seconds.map(|seconds| seconds.to_string())),

@@ -2,6 +2,7 @@
 //! restart: [`disk`] in a data directory, [`InMemory`] nothing.
 
 pub(crate) mod assets;
+pub(crate) mod atlas;
 pub(crate) mod deltas;
 pub(crate) mod disk;
 mod drag;

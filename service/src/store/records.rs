@@ -34,6 +34,9 @@ pub(crate) struct SceneRecord {
     /// Bound on albedos, where the client stated one.
     #[serde(default)]
     pub(crate) max_albedo: Option<f32>,
+    /// Its atlas, where it was uploaded with one.
+    #[serde(default)]
+    pub(crate) atlas: Option<StoredAtlas>,
     /// Names of lights with those of their layers.
     #[serde(default)]
     pub(crate) groups: BTreeMap<String, String>,
@@ -48,6 +51,15 @@ impl SceneRecord {
     pub(crate) fn density(&self) -> Density {
         Density { spacing: self.spacing, object_squares: self.object_squares.unwrap_or(f64::INFINITY) }
     }
+}
+
+/// What an atlas is made by.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct StoredAtlas {
+    /// In force, also where the client left it open.
+    pub(crate) texels_per_metre: f32,
+    /// The limit that it was made under, which its edits keep.
+    pub(crate) max_texels: u64,
 }
 
 /// What an upload asks for beside `environment` that shines from outside.

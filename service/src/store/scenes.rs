@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 use jiff::Timestamp;
 use tokio::sync::watch;
 
+use super::atlas::MadeAtlas;
 use super::deltas::KeptDeltas;
 use super::drag::Drag;
 use super::earlier::Earlier;
@@ -39,6 +40,8 @@ pub(crate) struct SceneEntry {
     pub(crate) drag: Drag,
     /// Between versions, for caches.
     pub(crate) deltas: KeptDeltas,
+    /// Its atlas, where it was uploaded without one.
+    pub(crate) made_atlas: MadeAtlas,
     published: watch::Sender<Arc<Published>>,
     deleted: watch::Sender<bool>,
     /// No version above it may be given before more are reserved.
@@ -113,6 +116,7 @@ impl SceneEntry {
             earlier: Earlier::default(),
             drag: Drag::default(),
             deltas: KeptDeltas::default(),
+            made_atlas: MadeAtlas::default(),
             published: watch::Sender::new(Arc::new(published)),
             deleted: watch::Sender::new(false),
             reserved: AtomicU64::new(new.reserved),

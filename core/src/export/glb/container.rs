@@ -37,6 +37,10 @@ pub(super) struct Document {
     pub(super) materials: Vec<Value>,
     pub(super) cameras: Vec<Value>,
     pub(super) lights: Vec<Value>,
+    images: Vec<Value>,
+    textures: Vec<Value>,
+    /// Of the asset.
+    pub(super) extras: Option<Value>,
     pub(super) has_emissive_strength: bool,
     /// Name and numbers of a material (as bits), and whether it is double-sided, to its index.
     pub(super) material_indices: BTreeMap<(String, [u32; 8], bool), Value>,
@@ -60,7 +64,7 @@ impl Document {
         push(&mut self.accessors, object(accessor))
     }
 
-    /// Texture coordinates.
+    /// A vertex attribute of `f32` pairs.
     pub(super) fn add_vec2(&mut self, values: &[Vec2]) -> Value {
         let view = self.add_view(ARRAY_BUFFER, values.iter().flat_map(|value| value.to_array()).map(f32::to_le_bytes));
         let accessor = [
@@ -70,6 +74,18 @@ impl Document {
             ("type", "VEC2".into()),
         ];
         push(&mut self.accessors, object(accessor))
+    }
+
+    /// A PNG file as an image, and a texture of it that ends at its edges.
+    pub(super) fn add_picture(&mut self, name: &str, png: &[u8]) {
+        let start = self.bin.len();
+        self.bin.extend(png);
+        let view = [("buffer", 0.into()), ("byteOffset", start.into()), ("byteLength", png.len().into())];
+        let view = push(&mut self.views, object(view));
+        self.bin.resize(self.bin.len().next_multiple_of(4), 0);
+        let image = [("name", name.into()), ("bufferView", view), ("mimeType", "image/png".into())];
+        let source = push(&mut self.images, object(image));
+        self.textures.push(object([("source", source), ("sampler", 0.into())]));
     }
 
     /// Triangle indices.
@@ -84,7 +100,7 @@ impl Document {
         push(&mut self.accessors, object(accessor))
     }
 
-    /// All values are four bytes wide, so that every view begins aligned.
+    /// All values are four bytes wide, and pictures are padded, so that every view begins aligned.
     fn add_view(&mut self, target: u32, words: impl Iterator<Item = [u8; 4]>) -> Value {
         let start = self.bin.len();
         self.bin.extend(words.flatten());
@@ -121,7 +137,13 @@ impl Document {
     }
 
     fn into_json(self, bin_bytes: usize) -> Value {
-        let asset = object([("version", "2.0".into()), ("generator", "rebake".into())]);
+        let mut asset = vec![("version", "2.0".into()), ("generator", "rebake".into())];
+        asset.extend(self.extras.map(|extras| ("extras", extras)));
+        let asset = object(asset);
+        // Linear, clamped to the edge.
+        let clamp = [("magFilter", 9729), ("minFilter", 9729), ("wrapS", 33071), ("wrapT", 33071)];
+        let sampler = object(clamp.map(|(name, value)| (name, value.into())));
+        let samplers = if self.textures.is_empty() { Vec::new() } else { vec![sampler] };
         let scenes = match self.scenes.is_empty() {
             false => self.scenes,
             true if self.nodes.is_empty() => vec![object([])],
@@ -146,6 +168,9 @@ impl Document {
             ("meshes", self.meshes),
             ("materials", self.materials),
             ("cameras", self.cameras),
+            ("images", self.images),
+            ("textures", self.textures),
+            ("samplers", samplers),
             ("accessors", self.accessors),
             ("bufferViews", self.views),
         ];

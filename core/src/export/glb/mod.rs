@@ -1,5 +1,6 @@
 //! Binary glTF: the subdivided meshes with their light map, and whole scenes.
 
+mod atlas;
 mod container;
 mod object;
 mod scene;
@@ -11,6 +12,7 @@ use std::collections::BTreeMap;
 use ::gltf::json::Value;
 use glam::{DVec3, Vec3};
 
+pub use self::atlas::{AtlasAbout, write_atlas_glb};
 pub use self::object::{ObjectExport, write_object_glb};
 pub use self::scene::write_scene_glb;
 

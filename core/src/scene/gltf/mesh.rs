@@ -176,7 +176,12 @@ impl<'f> Meshes<'f> {
         draft.mesh.positions.extend(vertices.positions.into_iter().map(Vec3::from_array));
         draft.mesh.normals.resize(first + count, Vec3::ZERO);
         for set in 0..2 {
-            let values = if material.uses_texcoord(set) { attributes.texcoords(set as u32, count)? } else { None };
+            let values = match material.uses_texcoord(set) {
+                true => attributes.texcoords(set as u32, count)?,
+                // An atlas may use the second set, and does without it where it is of no use.
+                false if set == 1 => attributes.texcoords(1, count).unwrap_or(None),
+                false => None,
+            };
             let values = values.map(|values| values.into_iter().map(Vec2::from_array));
             append(&mut draft.mesh.texcoords[set], first, values, Vec2::ZERO);
         }
@@ -199,9 +204,9 @@ struct Place<'p> {
 /// The accessors that decide about a primitive's vertices; none for compressed ones, which are their own.
 fn shared_by(attributes: &Attributes<'_>, material: &LoadedMaterial) -> Option<Vec<Option<usize>>> {
     let of = |semantic| attributes.accessor(semantic).map(|index| index.value());
-    let texcoord = |set: u32| of(Semantic::TexCoords(set)).filter(|_| material.uses_texcoord(set as usize));
+    let first = of(Semantic::TexCoords(0)).filter(|_| material.uses_texcoord(0));
     let positions = of(Semantic::Positions);
-    let all = vec![positions, of(Semantic::Normals), of(Semantic::Colors(0)), texcoord(0), texcoord(1)];
+    let all = vec![positions, of(Semantic::Normals), of(Semantic::Colors(0)), first, of(Semantic::TexCoords(1))];
     attributes.draco.is_none().then_some(all)
 }
 

@@ -8,13 +8,18 @@ use anyhow::Context;
 
 use super::super::ui;
 use super::{ServerArgs, interruptible};
+use rebake::client::Client;
 
 const AFTER_HELP: &str = "\
 The ending of the file chooses the format:
   .glb   the subdivided mesh, the light map as float COLOR_0
   .exr   the values alone, 32-bit float
   .rbkd  the delta format, from version 0
+With --atlas the directory gets atlas.json, which says where every object lies, and page-0.exr and so on.
 A file is replaced only when the new one is complete.";
+
+/// Times that an atlas is fetched anew since the light map changed meanwhile.
+const TRIES: usize = 5;
 
 /// Arguments of `rebake pull`.
 #[derive(Debug, clap::Args)]
@@ -25,8 +30,18 @@ pub(in super::super) struct PullArgs {
     #[command(flatten)]
     server: ServerArgs,
     /// File to write
-    #[arg(short, long, value_name = "OUT.{glb,exr,rbkd}", value_parser = output_file)]
-    output: PathBuf,
+    #[arg(
+        short,
+        long,
+        value_name = "OUT.{glb,exr,rbkd}",
+        value_parser = output_file,
+        required_unless_present = "atlas",
+        conflicts_with = "atlas"
+    )]
+    output: Option<PathBuf>,
+    /// Directory for the pages of the scene's atlas, as half-float .exr, and atlas.json
+    #[arg(long, value_name = "DIR")]
+    atlas: Option<PathBuf>,
     /// One part of the light (`direct`, `indirect`), one layer by its name, or `all` layers in one .exr
     #[arg(long)]
     layer: Option<String>,
@@ -56,23 +71,75 @@ fn output_file(text: &str) -> Result<PathBuf, String> {
 /// Saves the light map.
 pub(in super::super) async fn pull(args: PullArgs) -> anyhow::Result<()> {
     let client = args.server.client()?;
-    let format = format_of(&args.output).context("the file has to end in .glb, .exr or .rbkd")?;
+    if let Some(directory) = &args.atlas {
+        return interruptible(pull_atlas(&client, &args, directory), "").await;
+    }
+    let output = args.output.as_deref().context("there is no file to write")?;
+    let format = format_of(output).context("the file has to end in .glb, .exr or .rbkd")?;
     let work = async {
         let mut response = client.lightmap(&args.scene, format, args.layer.as_deref(), args.part.as_deref()).await?;
         let etag = response.headers().get("etag").and_then(|tag| tag.to_str().ok()).unwrap_or("?");
         let version = etag.trim_start_matches("W/").trim_matches('"').to_owned();
         let spinner = ui::spinner("pull");
-        let mut out = Replacement::begin(&args.output)?;
+        let mut out = Replacement::begin(output)?;
         while let Some(chunk) = response.chunk().await.context("the connection was lost")? {
             out.write(&chunk)?;
             spinner.set_message(ui::bytes(out.bytes));
         }
         spinner.finish_and_clear();
         let bytes = out.finish()?;
-        ui::note(&format!("{}: version {version}, {}", args.output.display(), ui::bytes(bytes)));
+        ui::note(&format!("{}: version {version}, {}", output.display(), ui::bytes(bytes)));
         Ok(())
     };
     interruptible(work, "").await
+}
+
+/// Saves an atlas, all of it of one version.
+async fn pull_atlas(client: &Client, args: &PullArgs, directory: &Path) -> anyhow::Result<()> {
+    std::fs::create_dir_all(directory).with_context(|| format!("cannot make {}", directory.display()))?;
+    for _ in 0..TRIES {
+        let atlas = client.atlas(&args.scene).await?;
+        if let Some(bytes) = pull_pages(client, args, directory, &atlas).await? {
+            let version = &atlas["version"];
+            ui::note(&format!("{}: version {version}, {}", directory.display(), ui::bytes(bytes)));
+            return Ok(());
+        }
+    }
+    anyhow::bail!("the light map changes faster than its atlas can be fetched: wait for the job to end")
+}
+
+/// Bytes written; none where a page is of another version.
+async fn pull_pages(
+    client: &Client,
+    args: &PullArgs,
+    directory: &Path,
+    atlas: &serde_json::Value,
+) -> anyhow::Result<Option<u64>> {
+    let spinner = ui::spinner("pull");
+    let (mut files, mut total) = (Vec::new(), 0);
+    let [layer, part] = [("layer", &args.layer), ("part", &args.part)];
+    let query: Vec<(&str, String)> =
+        [layer, part].into_iter().filter_map(|(name, value)| Some((name, value.clone()?))).collect();
+    for page in 0..atlas["pages"].as_array().map_or(0, Vec::len) {
+        let mut response = client.atlas_page(&args.scene, page, &query).await?;
+        let version = response.headers().get("x-rebake-version").and_then(|version| version.to_str().ok());
+        if version != Some(atlas["version"].to_string().as_str()) {
+            return Ok(None);
+        }
+        let mut out = Replacement::begin(&directory.join(format!("page-{page}.exr")))?;
+        while let Some(chunk) = response.chunk().await.context("the connection was lost")? {
+            out.write(&chunk)?;
+            spinner.set_message(ui::bytes(total + out.bytes));
+        }
+        total += out.bytes;
+        files.push(out);
+    }
+    let mut out = Replacement::begin(&directory.join("atlas.json"))?;
+    out.write(&serde_json::to_vec_pretty(atlas)?)?;
+    files.push(out);
+    spinner.finish_and_clear();
+    files.into_iter().try_for_each(|file| file.finish().map(|_| ()))?;
+    Ok(Some(total))
 }
 
 /// A file that takes the place of another only when it is complete.

@@ -35,6 +35,9 @@ pub(in super::super) struct PushArgs {
     mode: Option<String>,
     #[command(flatten)]
     sky: SkyArgs,
+    /// Texels per metre of an atlas, which objects have lasting places in [default without it: none]
+    #[arg(long, value_name = "N", value_parser = positive)]
+    texels_per_metre: Option<f64>,
     /// Lights with layers of their own, which are relit without rays: `shared` (none yet), `each`, or groups as JSON,
     /// e.g. '{"ceiling": ["lamp-1", "lamp-2"]}' [default: shared]
     #[arg(long, value_name = "shared|each|JSON")]
@@ -71,6 +74,8 @@ pub(in super::super) async fn push(args: PushArgs) -> anyhow::Result<()> {
         default_sky: args.sky.default_sky.then_some(true),
         sun_angle: args.sky.sun_angle,
         unit: args.sky.unit,
+        layout: None,
+        texels_per_metre: args.texels_per_metre.map(|density| density as f32),
         layers: args.layers,
         samples_per_element: args.budget.samples,
         max_seconds: args.budget.max_seconds,

@@ -121,6 +121,7 @@ mod tests {
             outside: StoredOutside::default(),
             unit: Default::default(),
             max_albedo: None,
+            atlas: None,
             target: None,
             groups: Default::default(),
             created_at,

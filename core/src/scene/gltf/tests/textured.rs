@@ -49,6 +49,19 @@ fn encoded(format: ImageFormat) -> Vec<u8> {
     bytes.into_inner()
 }
 
+/// No material reads the second set; light maps may.
+#[test]
+fn second_coordinates_are_read_where_they_can_be() {
+    let picture = encoded(ImageFormat::Png);
+    let second = ("\"TEXCOORD_0\": 3}", "\"TEXCOORD_0\": 3, \"TEXCOORD_1\": 3}");
+    let [without, with] = [&[][..], &[second]].map(|edits| load(&textured(&picture, edits)).unwrap());
+    assert!(without.objects[0].mesh.texcoords[1].is_empty());
+    assert_eq!(with.objects[0].mesh.texcoords[1], with.objects[0].mesh.texcoords[0]);
+    // Normals are no texture coordinates.
+    let wrong = ("\"TEXCOORD_0\": 3}", "\"TEXCOORD_0\": 3, \"TEXCOORD_1\": 1}");
+    assert!(load(&textured(&picture, &[wrong])).unwrap().objects[0].mesh.texcoords[1].is_empty());
+}
+
 #[test]
 fn embedded_textures_count_with_their_mean() {
     for (format, tolerance) in [(ImageFormat::Png, 1e-4), (ImageFormat::WebP, 1e-4), (ImageFormat::Jpeg, 0.02)] {

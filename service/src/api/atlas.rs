@@ -1,0 +1,333 @@
+//! Atlases: where objects lie on pages of texels, and the pages.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use rebake_core::export::Precision;
+use serde::{Deserialize, Serialize};
+use utoipa::{IntoParams, ToSchema};
+
+use super::elements::VERSION;
+use super::extract::{ApiPath, ApiQuery, ETags};
+use super::lightmap::{self, Chosen};
+use super::problem::{ApiResult, Kind, Problem};
+use super::types::PartName;
+use super::uploads::memory_problem;
+use super::{Shared, etag, find_scene};
+use crate::config::Limits;
+use crate::engine::{self, Atlas, AtlasError, AtlasOptions, AtlasPicture, World};
+use crate::pictures::Watch;
+use crate::state::App;
+use crate::store::records::StoredAtlas;
+use crate::store::scenes::SceneEntry;
+use crate::store::versions::Published;
+
+/// Bytes per texel of a page while it is made and written.
+pub(super) const BYTES_PER_TEXEL: u64 = 64;
+
+/// How a light map is delivered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum LayoutName {
+    /// By element.
+    Vertices,
+    /// By texel, too.
+    Atlas,
+}
+
+/// The atlas that an upload asks for.
+pub(super) fn asked_for(
+    layout: Option<LayoutName>,
+    texels_per_metre: Option<f32>,
+    limits: &Limits,
+) -> ApiResult<Option<AtlasOptions>> {
+    let invalid = |reason: &str| Err(Problem::field(Kind::InvalidQuery, "texels_per_metre", reason));
+    match (layout, texels_per_metre) {
+        (_, Some(density)) if !(density.is_finite() && density > 0.0) => invalid("has to be a finite number above 0"),
+        (Some(LayoutName::Vertices), Some(_)) => invalid("goes with layout=atlas"),
+        (Some(LayoutName::Vertices) | None, None) => Ok(None),
+        _ => Ok(Some(AtlasOptions { texels_per_metre, max_texels: limits.atlas_texels })),
+    }
+}
+
+/// What the atlas of a new scene is made by, whose elements are `spacing` metres apart.
+pub(super) fn stored(spacing: f32, asked: Option<AtlasOptions>) -> Option<StoredAtlas> {
+    let AtlasOptions { texels_per_metre, max_texels } = asked?;
+    Some(StoredAtlas { texels_per_metre: texels_per_metre.unwrap_or(spacing.recip()), max_texels })
+}
+
+/// Where the objects of a scene lie in its atlas.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct AtlasDocument {
+    /// Version of the light map.
+    #[schema(example = 7)]
+    pub version: u64,
+    /// Texels per metre of surface that were asked for; one per spacing of the elements where the upload did not say.
+    #[schema(example = 20.0)]
+    pub texels_per_metre: f32,
+    /// The pages.
+    pub pages: Vec<AtlasPage>,
+    /// Objects with a surface, in the order of the scene.
+    pub objects: Vec<AtlasObject>,
+}
+
+/// A page.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct AtlasPage {
+    /// Texels across.
+    #[schema(example = 1024)]
+    pub width: u32,
+    /// Texels down.
+    #[schema(example = 1024)]
+    pub height: u32,
+}
+
+/// Where an object lies. Coordinates on the page are texcoord × scale + offset, from 0 to 1, origin top left.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct AtlasObject {
+    /// Its name.
+    #[schema(example = "sofa")]
+    pub object: String,
+    /// Index of its page.
+    #[schema(example = 0)]
+    pub page: u32,
+    /// Factor on its coordinates.
+    #[schema(example = json!([0.12, 0.08]))]
+    pub scale: [f64; 2],
+    /// What is added.
+    #[schema(example = json!([0.5, 0.25]))]
+    pub offset: [f64; 2],
+    /// Whose coordinates they are.
+    pub texcoord: AtlasTexcoord,
+    /// Texels per metre of its surface: fewer than asked for where it would be larger than a page.
+    #[schema(example = 20.0)]
+    pub texels_per_metre: f32,
+    /// Where the back of its surface lies, where that has light of its own; by the same coordinates.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub back: Option<AtlasPlace>,
+}
+
+/// A place on a page.
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+pub struct AtlasPlace {
+    /// Index of the page.
+    pub page: u32,
+    /// Factor on coordinates.
+    pub scale: [f64; 2],
+    /// What is added.
+    pub offset: [f64; 2],
+}
+
+/// Whose coordinates an object has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum AtlasTexcoord {
+    /// `TEXCOORD_1` of the file.
+    File,
+    /// Made by the service: the file has none that can be used. `lightmap?format=glb&layout=atlas` has them.
+    Made,
+}
+
+impl AtlasDocument {
+    /// Tells an atlas of a world.
+    pub fn new(world: &World, atlas: &Atlas, version: u64) -> AtlasDocument {
+        let pages = atlas.pages();
+        let objects = world.scene.objects.iter().filter_map(|object| {
+            let entry = atlas.entry(&object.name)?;
+            let place = |rectangle: &rebake_core::atlas::Rectangle| {
+                let (scale, offset) = entry.to_page(rectangle, pages[rectangle.page]);
+                AtlasPlace { page: rectangle.page as u32, scale: scale.to_array(), offset: offset.to_array() }
+            };
+            let AtlasPlace { page, scale, offset } = place(&entry.front);
+            let texcoord = match entry.coordinates() {
+                rebake_core::atlas::Coordinates::File => AtlasTexcoord::File,
+                rebake_core::atlas::Coordinates::Made => AtlasTexcoord::Made,
+            };
+            let (object, texels_per_metre) = (object.name.clone(), entry.texels_per_metre());
+            let back = entry.back.as_ref().map(place);
+            Some(AtlasObject { object, page, scale, offset, texcoord, texels_per_metre, back })
+        });
+        AtlasDocument {
+            version,
+            texels_per_metre: atlas.texels_per_metre(),
+            objects: objects.collect(),
+            pages: pages.iter().map(|page| AtlasPage { width: page.width, height: page.height }).collect(),
+        }
+    }
+}
+
+/// Where objects lie on the pages of the scene's atlas. Scenes that were uploaded with `layout=atlas` keep every
+/// rectangle where it is while its object is there and has its size, across restarts too; of others an atlas is made
+/// when it is first asked for, and again after a restart.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene}/atlas", tag = "light map", operation_id = "get_atlas",
+    params(
+        ("scene" = String, Path, description = "The scene's id"),
+        ("If-None-Match" = Option<String>, Header, description = "The version that the client has"),
+    ),
+    responses(
+        (status = 200, body = AtlasDocument, headers(("ETag" = String, description = "The version"),
+            ("X-Rebake-Version" = String, description = "Version of the light map"))),
+        (status = 304, description = "The client has this version"),
+    )
+)]
+pub(super) async fn get(State(app): Shared, ApiPath(id): ApiPath<String>, headers: HeaderMap) -> ApiResult<Response> {
+    let scene = find_scene(&app, &id).await?;
+    let published = scene.published();
+    let known = ETags::from_header(&headers, &header::IF_NONE_MATCH)?;
+    let version = published.version.to_string();
+    let about = [(header::ETAG, etag(published.version)), (VERSION.clone(), version.clone())];
+    if known.is_some_and(|tags| tags.matches_weakly(&version)) {
+        return Ok((StatusCode::NOT_MODIFIED, about).into_response());
+    }
+    let atlas = atlas_of(&app, &scene, &published).await?;
+    let document = AtlasDocument::new(&published.world, &atlas, published.version);
+    Ok((about, Json(document)).into_response())
+}
+
+/// File formats of a page.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum PageFormat {
+    /// OpenEXR: `R`, `G`, `B`, and `valid`, 1 where a texel was read from a surface and 0 where it is filled or empty.
+    #[default]
+    Exr,
+    /// 8-bit sRGB with automatic exposure, to look at.
+    Png,
+}
+
+/// How exact the numbers of an OpenEXR page are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum PagePrecision {
+    /// 16-bit float.
+    #[default]
+    Half,
+    /// 32-bit float.
+    Float,
+}
+
+/// What of a page to fetch.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct PageQuery {
+    /// File format; `exr` where absent. KTX2 is not offered.
+    #[param(inline)]
+    format: Option<PageFormat>,
+    /// Of `exr`; `half` where absent.
+    #[param(inline)]
+    precision: Option<PagePrecision>,
+    /// `full`, `direct` or `indirect`: that part of all light; the scene's mode where absent. The name of a layer
+    /// (between double quotes where it is one of these words): its light at reference strengths.
+    #[param(example = "ceiling")]
+    layer: Option<String>,
+    /// Which part, of all light or of a layer; the scene's mode where absent. An error is that of the elements, interpolated:
+    /// no less than that of the light between them.
+    #[param(inline)]
+    part: Option<PartName>,
+}
+
+/// A page of the scene's atlas: irradiance / π, linear RGB, read from the elements at the centres of texels and filled
+/// at least four texels past the edges of surfaces.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene}/atlas/{page}", tag = "light map", operation_id = "get_atlas_page",
+    params(
+        ("scene" = String, Path, description = "The scene's id"),
+        ("page" = u32, Path, description = "Index of the page"),
+        PageQuery,
+        ("If-None-Match" = Option<String>, Header, description = "The version that the client has"),
+    ),
+    responses(
+        (status = 200, description = "The page", headers(("ETag" = String, description = "The version"),
+            ("X-Rebake-Version" = String, description = "Version of the light map"),
+            ("X-Rebake-Exposure" = f32, description = "Stops of a PNG")),
+            content((Vec<u8> = "image/x-exr"), (Vec<u8> = "image/png"))),
+        (status = 304, description = "The client has this version"),
+    )
+)]
+pub(super) async fn get_page(
+    State(app): Shared,
+    ApiPath((id, page)): ApiPath<(String, String)>,
+    ApiQuery(query): ApiQuery<PageQuery>,
+    headers: HeaderMap,
+) -> ApiResult<Response> {
+    let scene = find_scene(&app, &id).await?;
+    let published = scene.published();
+    let known = ETags::from_header(&headers, &header::IF_NONE_MATCH)?;
+    let version = published.version.to_string();
+    let about = [(header::ETAG, etag(published.version)), (VERSION.clone(), version.clone())];
+    let format = query.format.unwrap_or_default();
+    if format == PageFormat::Png && query.precision.is_some() {
+        return Err(Problem::field(Kind::InvalidQuery, "precision", "goes with format=exr only"));
+    }
+    let chosen = lightmap::choose(&published, query.layer.as_deref(), query.part)?;
+    if matches!(chosen, Chosen::All) {
+        return Err(Problem::field(Kind::InvalidQuery, "layer", "pages hold one layer each: `all` is not offered"));
+    }
+    let atlas = atlas_of(&app, &scene, &published).await?;
+    let pages = atlas.pages();
+    let index = page.parse::<usize>().ok().filter(|index| *index < pages.len()).ok_or_else(|| {
+        Problem::new(Kind::NotFound, format!("the atlas has {} pages, and no page {page:?}", pages.len()))
+    })?;
+    if known.is_some_and(|tags| tags.matches_weakly(&version)) {
+        return Ok((StatusCode::NOT_MODIFIED, about).into_response());
+    }
+    let bytes = u64::from(pages[index].width) * u64::from(pages[index].height) * BYTES_PER_TEXEL;
+    let picture = match format {
+        PageFormat::Png => AtlasPicture::Png,
+        PageFormat::Exr => AtlasPicture::Exr(match query.precision.unwrap_or_default() {
+            PagePrecision::Half => Precision::Half,
+            PagePrecision::Float => Precision::Float,
+        }),
+    };
+    let (watch, its_app) = (Watch::default(), Arc::clone(&app));
+    let _guard = watch.guard();
+    let turn = app.pictures.turns.clone().acquire_owned().await.map_err(Problem::internal)?;
+    let work = move || {
+        let _turn = turn;
+        let _promise = its_app.promise_memory(bytes, 0).map_err(|full| memory_problem("page", full))?;
+        let (values, about) = lightmap::values(&published, &chosen).map_err(Problem::internal)?;
+        let about: Vec<(&str, &str)> = about.iter().map(|(name, text)| (*name, text.as_str())).collect();
+        let drawn = engine::atlas_page((&published.world, &atlas), index, &values, (picture, &about), &watch);
+        drawn.map_err(Problem::internal)
+    };
+    let (file, exposure) = app.compute.draw(work).await??;
+    let kind = if format == PageFormat::Png { "image/png" } else { "image/x-exr" };
+    let mut response = (about, [(header::CONTENT_TYPE, kind)], file).into_response();
+    if let Some(stops) = exposure {
+        let value = header::HeaderValue::from_str(&stops.to_string()).map_err(Problem::internal)?;
+        response.headers_mut().insert("x-rebake-exposure", value);
+    }
+    Ok(response)
+}
+
+/// The atlas of a version of a scene.
+pub(super) async fn atlas_of(
+    app: &Arc<App>,
+    scene: &Arc<SceneEntry>,
+    published: &Arc<Published>,
+) -> ApiResult<Arc<Atlas>> {
+    if let Some(own) = published.world.atlas() {
+        return Ok(Arc::clone(own));
+    }
+    let _turn = scene.made_atlas.turn.lock().await;
+    let (its_scene, its_published) = (Arc::clone(scene), Arc::clone(published));
+    let max_texels = app.config.limits.atlas_texels;
+    let made = app.compute.draw(move || its_scene.made_atlas.of(&its_published, max_texels)).await?;
+    made.map_err(|error| atlas_problem(&error))
+}
+
+/// Why a scene has no atlas.
+pub(super) fn atlas_problem(error: &AtlasError) -> Problem {
+    match error {
+        AtlasError::Density(density) => {
+            let reason = format!("has to be a finite number above 0, not {density}");
+            Problem::field(Kind::InvalidQuery, "texels_per_metre", reason)
+        }
+        AtlasError::TooLarge { .. } | AtlasError::Pieces { .. } => Problem::new(Kind::SceneTooLarge, error.to_string()),
+    }
+}
