@@ -340,3 +340,31 @@ async fn taking_an_edit_back_gives_the_map_from_before_it() {
     }
     server.stop().await;
 }
+
+/// A mebibyte of patterns, or one of that length, is told at once: looking for it would take minutes.
+#[tokio::test]
+async fn names_are_few_and_short_enough_to_look_for() {
+    let server = Server::start().await;
+    let scene = server.room("?bake=false").await;
+    let path = format!("{}/edits", path_of(&scene));
+    for (objects, field) in [
+        (json!(["cupboard", "*a".repeat(1 << 18) + "b"]), "objects[1]"),
+        (json!(vec!["*"; 1 << 16]), "objects"),
+        (json!(vec!["*"; 65]), "objects"),
+        (json!(vec!["cupboard"; 4097]), "objects"),
+    ] {
+        for op in ["remove", "hide", "show"] {
+            let answer = server.post_json(&path, &json!({ "op": op, "objects": objects })).await;
+            assert!(answer.problem(422, "invalid-value").starts_with(&format!("{field}: ")), "{op}");
+        }
+    }
+    // What is allowed takes no time, however it is put together.
+    let slow = "*a".repeat(127) + "*b";
+    let started = std::time::Instant::now();
+    let refused = server.post_json(&path, &json!({ "op": "hide", "objects": vec![slow; 64] })).await;
+    refused.problem(422, "unknown-object");
+    assert!(started.elapsed() < std::time::Duration::from_secs(5), "{:?}", started.elapsed());
+    let hide = json!({ "op": "hide", "objects": ["c*", "*o*"], "budget": { "samples_per_element": 4 } });
+    server.edit(&scene, &hide).await;
+    server.stop().await;
+}

@@ -192,7 +192,8 @@ impl Parsed {
         })
     }
 
-    fn path(&self, i: usize) -> String {
+    /// Where the `i`-th edit stands in the body.
+    pub(super) fn path(&self, i: usize) -> String {
         if self.is_list { format!("edits[{i}]") } else { String::new() }
     }
 }

@@ -9,6 +9,7 @@ use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use serde_json::Value;
 
+use super::edit_names::check_names;
 use super::edit_parse::{Parsed, parse, to_budget, to_edits, to_focus, to_tiles, used_assets};
 use super::edit_types::{self, EditRequest};
 use super::extract::{ApiPath, ETags, read_body, require_content_type, text_header};
@@ -130,6 +131,7 @@ struct Request {
 fn read_request(app: &App, head: &Head, body: &[u8]) -> ApiResult<Request> {
     let limits = &app.config.limits;
     let parsed = parse(body, limits.edits_per_request)?;
+    check_names(&parsed, limits.name_chars)?;
     let edits = to_edits(&parsed, &app.assets, &head.history, limits.name_chars)?;
     let budget = to_budget(parsed.budget, "budget", app.config.defaults.edit_samples, &app.config)?;
     let importance = read_importance(&parsed, &head.world, &app.config)?;

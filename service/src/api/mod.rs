@@ -7,6 +7,7 @@ mod coding;
 mod deltas;
 mod drain;
 mod edit_lights;
+mod edit_names;
 pub(crate) mod edit_parse;
 pub mod edit_types;
 mod edits;
