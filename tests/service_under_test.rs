@@ -11,6 +11,8 @@ use rebake::Config;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut config = Config { threads: 1, ..Config::default() };
+    // However busy the machine is: uploads are answered with their scenes.
+    config.timeouts.upload_answer = Duration::from_secs(600);
     for argument in std::env::args().skip(1) {
         let (name, value) = argument.split_once('=').ok_or_else(|| format!("{argument}: there is no ="))?;
         set(&mut config, name, value).map_err(|error| format!("{argument}: {error}"))?;

@@ -43,6 +43,13 @@ impl Page {
     }
 }
 
+/// The room, lit.
+async fn baked(server: &Server, query: &str) -> Value {
+    let scene = server.post_glb(&format!("/v1/scenes?{query}"), room().bytes()).await.json(201);
+    server.end_of(scene["current_job"].as_str().unwrap()).await;
+    server.get(&path_of(&scene)).await.json(200)
+}
+
 async fn atlas(server: &Server, scene: &Value) -> Value {
     server.get(&format!("{}/atlas", path_of(scene))).await.json(200)
 }
@@ -76,7 +83,7 @@ async fn exported(server: &Server, scene: &Value, query: &str) -> (Vec<u8>, Scen
 #[tokio::test]
 async fn pages_hold_the_light_of_the_elements() {
     let server = Server::start().await;
-    let scene = server.baked_room("?samples_per_element=16&texels_per_metre=20&spacing=0.2").await;
+    let scene = baked(&server, "samples_per_element=16&texels_per_metre=20&spacing=0.2").await;
     let told = atlas(&server, &scene).await;
     assert_eq!((&told["version"], &told["texels_per_metre"]), (&scene["version"], &json!(20.0)));
     assert_eq!(scene["texels_per_metre"], 20.0);
@@ -131,7 +138,7 @@ async fn pages_hold_the_light_of_the_elements() {
 #[tokio::test]
 async fn parts_and_layers_of_pages_add_up() {
     let server = Server::start().await;
-    let scene = server.baked_room("?layers=each&samples_per_element=4&layout=atlas").await;
+    let scene = baked(&server, "layers=each&samples_per_element=4&layout=atlas&spacing=0.2").await;
     let part = async |query: &str| page(&server, &scene, &format!("precision=float&{query}")).await;
     let (full, direct, indirect) = (part("").await, part("part=direct").await, part("part=indirect").await);
     let layer = part("layer=lamp").await;
@@ -190,7 +197,7 @@ async fn rectangles_stay_through_edits_and_a_restart() {
 async fn scenes_without_an_atlas_get_one_when_it_is_asked_for() {
     let server = Server::start().await;
     let asset = server.crate_asset().await;
-    let scene = server.baked_room("?samples_per_element=1&spacing=0.25").await;
+    let scene = baked(&server, "samples_per_element=1&spacing=0.25").await;
     assert!(scene.get("texels_per_metre").is_none());
     let first = atlas(&server, &scene).await;
     assert_eq!(first["texels_per_metre"], 4.0, "one per spacing");

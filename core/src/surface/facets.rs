@@ -81,7 +81,7 @@ impl Facets {
         let texcoords = |face: usize| Corners::new(&object.mesh, surface, face as u32).texcoords(texture.texcoord);
         let finest = finest_edge(surface, &faces, spacing);
         let level = |face: &usize| level(surface.corners(*face), finest, texels(texture, texcoords(*face)));
-        let levels = within_bounds(faces.iter().map(level).collect());
+        let levels = within_bounds(&faces.iter().map(level).collect::<Vec<u32>>());
         let mut facets = Facets {
             list: Vec::new(),
             faces: faces.iter().map(|face| *face as u32).collect(),
@@ -209,7 +209,7 @@ fn level([a, b, c]: [Vec3; 3], finest: f32, texels: f32) -> u32 {
 }
 
 /// Levels as deep as [`MAX_FACETS`] allows: all are taken back by as much as it takes.
-fn within_bounds(levels: Vec<u32>) -> Vec<u32> {
+fn within_bounds(levels: &[u32]) -> Vec<u32> {
     let less = |by: u32| levels.iter().map(move |level| level.saturating_sub(by));
     let count = |by: u32| {
         let divided = less(by).filter(|level| *level > 0);

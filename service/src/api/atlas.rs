@@ -169,7 +169,7 @@ impl AtlasDocument {
         ("If-None-Match" = Option<String>, Header, description = "The version that the client has"),
     ),
     responses(
-        (status = 200, body = AtlasDocument, headers(("ETag" = String, description = "The version"),
+        (status = 200, body = AtlasDocument, description = "Its pages and where objects lie", headers(("ETag" = String, description = "The version"),
             ("X-Rebake-Version" = String, description = "Version of the light map"))),
         (status = 304, description = "The client has this version"),
     )

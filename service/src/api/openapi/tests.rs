@@ -5,7 +5,7 @@ use axum::http::Uri;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
-use super::super::{deltas, edit_parse, jobs, lightmap, objects, render, sample, scenes, uploads};
+use super::super::{atlas, deltas, edit_parse, jobs, lightmap, objects, render, sample, scenes, uploads};
 use super::document;
 
 fn described() -> Value {
@@ -39,6 +39,7 @@ fn read_query(operation: &str, query: &str) -> Result<(), String> {
         "get_object" => reads::<objects::ObjectQuery>(query),
         "get_lightmap" => reads::<lightmap::LightmapQuery>(query),
         "get_deltas" => reads::<deltas::DeltaQuery>(&format!("since=0&{query}").replace("since=0&since", "since")),
+        "get_atlas_page" => reads::<atlas::PageQuery>(query),
         "render_scene" => reads::<render::RenderQuery>(query),
         _ => Err("this test does not know the operation".to_owned()),
     }
