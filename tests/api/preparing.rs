@@ -65,6 +65,7 @@ async fn an_upload_is_answered_before_its_scene_is_built() {
             break;
         }
     }
+    drop(events);
     for job in [bake, &edit] {
         assert_eq!(server.end_of(job).await["state"], "succeeded");
     }

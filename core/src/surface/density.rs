@@ -35,19 +35,22 @@ impl Density {
     /// ground (or under a dome) that would have them all. That one gets so many, and what stands on it its own.
     pub fn chosen(scene: &Scene) -> Density {
         let mut areas = areas(scene);
-        let all: f64 = areas.iter().sum();
         areas.sort_unstable_by(|a, b| b.total_cmp(a));
-        let mut rest = all;
-        let mut effective = all;
-        for area in areas {
-            rest -= area;
-            if rest > 0.0 && area > GROUND * rest {
-                // At the ratio where it begins it changes nothing.
-                effective = rest * ((GROUND + 1.0) * GROUND * rest / area).max(1.0 / LEAST_SHARE);
-                break;
-            }
-        }
-        Density { spacing: default_spacing(effective.min(all), DEFAULT_SQUARES), object_squares: OBJECT_SQUARES }
+        let all: f64 = areas.iter().sum();
+        // A ground, or a ground and a dome where there is more than a few objects.
+        let most = if areas.len() < 5 { 1 } else { 2 };
+        let split = (1..areas.len().min(most + 1)).map(|count| (areas[count - 1], areas[count..].iter().sum::<f64>()));
+        let ground = split.into_iter().find(|(ground, rest)| *rest > 0.0 && *ground > GROUND * rest);
+        // At the ratio where it begins it changes nothing.
+        let of_rest =
+            |(ground, rest): (f64, f64)| rest * ((GROUND + 1.0) * GROUND * rest / ground).max(1.0 / LEAST_SHARE);
+        let effective = ground.map_or(all, of_rest).min(all);
+        Density { spacing: default_spacing(effective, DEFAULT_SQUARES), object_squares: OBJECT_SQUARES }
+    }
+
+    /// The spacing of a scene of this area, metres, whatever it is that has the area.
+    pub(crate) fn even_spacing(scene: &Scene) -> f32 {
+        default_spacing(areas(scene).into_iter().sum(), DEFAULT_SQUARES)
     }
 
     /// Every object alike.
@@ -117,12 +120,21 @@ mod tests {
     #[test]
     fn a_ground_does_not_decide_for_what_stands_on_it() {
         let even = |areas: &[f32]| default_spacing(areas.iter().map(|a| f64::from(*a)).sum(), DEFAULT_SQUARES);
-        for usual in [&[10.0_f32][..], &[100.0, 40.0, 5.0], &[20.0, 1.0], &[4e6, 1e6], &[]] {
+        for usual in [
+            &[10.0_f32][..],
+            &[100.0, 40.0, 5.0],
+            &[20.0, 1.0],
+            &[4e6, 1e6],
+            &[90.0, 40.0, 5.0, 0.01],
+            &[9.0, 0.3],
+            &[0.3],
+            &[],
+        ] {
             let density = Density::chosen(&scene(usual));
             assert_eq!(density.spacing, even(usual), "{usual:?}");
             assert!(usual.iter().all(|area| density.of_object(f64::from(*area)) <= density.spacing));
         }
-        for ground in [&[1e6_f32, 120.0, 80.0][..], &[4e6, 1e6, 200.0]] {
+        for ground in [&[1e6_f32, 120.0, 80.0][..], &[1e6, 200.0], &[4e6, 1e6, 50.0, 70.0, 80.0]] {
             let density = Density::chosen(&scene(ground));
             assert!((0.15..0.2).contains(&density.spacing), "{density:?}");
             let of_ground = density.of_object(1e6);

@@ -24,9 +24,8 @@ pub(super) fn build(mut scene: Scene, options: &WorldOptions) -> Result<World, W
     if !(0.0..=1.0).contains(&options.max_albedo) {
         return Err(WorldError::MaxAlbedo(options.max_albedo));
     }
-    // Meshes may be finer than a spacing that is given, and light then shows details that large cells would blur.
     warn_where_coarse(&mut scene, density);
-    let resolution = Resolution { density, smooth: spacing.min(chosen.spacing) };
+    let resolution = Resolution { density, smooth: smooth_of(options, &scene, spacing) };
     let ready: Vec<Ready> =
         scene.objects.par_iter().map(|o| Ready::new(&scene, o, resolution, options)).collect::<Result<_, _>>()?;
     check_size(ready.iter().map(|r| &*r.layout), spacing, options)?;
@@ -60,6 +59,11 @@ pub(super) fn build(mut scene: Scene, options: &WorldOptions) -> Result<World, W
     world.find_behind(None, |_| true);
     world.atlas = options.atlas.map(|atlas| world.new_atlas(None, atlas)).transpose()?.map(Arc::new);
     Ok(world)
+}
+
+/// Meshes may be finer than a spacing that is given, and light then shows details that large cells would blur.
+fn smooth_of(options: &WorldOptions, scene: &Scene, spacing: f32) -> f32 {
+    if options.spacing.is_some() { spacing.min(Density::even_spacing(scene)) } else { spacing }
 }
 
 fn density_of(options: &WorldOptions, chosen: Density) -> Result<Density, WorldError> {
@@ -123,7 +127,8 @@ impl Ready {
         let (layout, elements) = Layout::new(&surface, spacing, options.max_elements).map_err(error)?;
         let Elements { positions, normals, areas } = &elements;
         let albedos = Albedos::new(object, &surface, &layout, areas, options.max_albedo);
-        let coarse = Coarse::new(positions, normals, areas, COARSE_RADIUS * resolution.smooth);
+        let coarser = spacing / resolution.density.spacing;
+        let coarse = Coarse::new(positions, normals, areas, COARSE_RADIUS * resolution.smooth * coarser);
         let (surface, layout, coarse) = (Arc::new(surface), Arc::new(layout), Arc::new(coarse));
         Ok(Ready { surface, see_through, facets, layout, coarse, elements, albedos })
     }
