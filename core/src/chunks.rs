@@ -115,7 +115,7 @@ impl<T: Copy + Default> Chunks<T> {
         self.chunks.len() * size_of::<[T; CHUNK]>() + self.chunks.capacity() * size_of::<Arc<[T; CHUNK]>>()
     }
 
-    /// Bytes that none of `others` shares.
+    /// Bytes of chunks that `other` does not share.
     #[cfg(test)]
     pub(crate) fn own_bytes(&self, other: &Chunks<T>) -> usize {
         let is_own = |(index, chunk): &(usize, &Arc<[T; CHUNK]>)| {

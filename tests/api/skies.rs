@@ -16,7 +16,7 @@ fn floor() -> Vec<u8> {
     glb.bytes()
 }
 
-/// The same radiance from everywhere above, red in the half about +x and green in the other.
+/// Even radiance from everywhere above, red in the half about +x and green in the other.
 fn two_halves() -> Vec<u8> {
     let pixel = |i: usize| match (i / 8, i % 8) {
         (0..2, 2..6) => Vec3::X,

@@ -178,7 +178,11 @@ async fn seconds_count_from_when_an_edit_was_accepted() {
     let mut edit = dim(9.0);
     edit["budget"] = json!({ "max_seconds": 0.2 });
     let edit = server.edit(&other, &edit).await;
-    tokio::time::sleep(Duration::from_millis(250)).await;
+    // It waits until its time is up.
+    let accepted = Instant::now();
+    while accepted.elapsed() < Duration::from_millis(250) {
+        assert_eq!(job(&server, &edit).await["state"], "queued");
+    }
     script.run(&[Step::Finish]);
     server.end_of(&hold).await;
     // Its time is up when its turn comes: one round, and no more.

@@ -14,7 +14,7 @@ use crate::hash::FastMap;
 /// Least cosine between a triangle and the mean of its piece while that grows.
 const GROWS: f64 = 0.8;
 
-/// The same, once the mean is known: texels are at most twice as large as asked for.
+/// Least cosine between a triangle and the mean of its whole piece: texels are at most twice as large as asked for.
 const STAYS: f64 = 0.5;
 
 /// Pieces that give triangles back are counted; after so many per triangle of the mesh, what is left is a piece each.

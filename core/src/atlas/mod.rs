@@ -2,7 +2,7 @@
 //!
 //! A rectangle stays where it is as long as its object is there and has its size, whatever else is edited; those of
 //! objects that come are allocated, those of objects that go are freed, pages are added, and nothing is packed anew.
-//! The same scenes in the same order give the same atlases. What lies on the texels is not known here.
+//! Equal scenes that come in equal order give equal atlases. What lies on the texels is not known here.
 
 mod charts;
 mod file;

@@ -4,19 +4,19 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::{HeaderMap, StatusCode, header};
+use axum::http::{HeaderMap, header};
 use axum::response::{IntoResponse, Response};
 use rebake_core::export::Precision;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
-use super::elements::VERSION;
-use super::extract::{ApiPath, ApiQuery, ETags};
+use super::extract::{ApiPath, ApiQuery};
 use super::lightmap::{self, Chosen};
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::PartName;
 use super::uploads::memory_problem;
-use super::{Shared, etag, find_scene};
+use super::versioned::Versioned;
+use super::{Shared, find_scene};
 use crate::config::Limits;
 use crate::engine::{self, Atlas, AtlasError, AtlasOptions, AtlasPicture, World};
 use crate::pictures::Watch;
@@ -177,15 +177,13 @@ impl AtlasDocument {
 pub(super) async fn get(State(app): Shared, ApiPath(id): ApiPath<String>, headers: HeaderMap) -> ApiResult<Response> {
     let scene = find_scene(&app, &id).await?;
     let published = scene.published();
-    let known = ETags::from_header(&headers, &header::IF_NONE_MATCH)?;
-    let version = published.version.to_string();
-    let about = [(header::ETAG, etag(published.version)), (VERSION.clone(), version.clone())];
-    if known.is_some_and(|tags| tags.matches_weakly(&version)) {
-        return Ok((StatusCode::NOT_MODIFIED, about).into_response());
+    let versioned = Versioned::of_light(&published, &headers, None)?;
+    if versioned.is_known {
+        return Ok(versioned.not_modified());
     }
     let atlas = atlas_of(&app, &scene, &published).await?;
     let document = AtlasDocument::new(&published.world, &atlas, published.version);
-    Ok((about, Json(document)).into_response())
+    Ok((versioned.about, Json(document)).into_response())
 }
 
 /// File formats of a page.
@@ -257,9 +255,7 @@ pub(super) async fn get_page(
 ) -> ApiResult<Response> {
     let scene = find_scene(&app, &id).await?;
     let published = scene.published();
-    let known = ETags::from_header(&headers, &header::IF_NONE_MATCH)?;
-    let version = published.version.to_string();
-    let about = [(header::ETAG, etag(published.version)), (VERSION.clone(), version.clone())];
+    let versioned = Versioned::of_light(&published, &headers, None)?;
     let format = query.format.unwrap_or_default();
     if format == PageFormat::Png && query.precision.is_some() {
         return Err(Problem::field(Kind::InvalidQuery, "precision", "goes with format=exr only"));
@@ -273,8 +269,8 @@ pub(super) async fn get_page(
     let index = page.parse::<usize>().ok().filter(|index| *index < pages.len()).ok_or_else(|| {
         Problem::new(Kind::NotFound, format!("the atlas has {} pages, and no page {page:?}", pages.len()))
     })?;
-    if known.is_some_and(|tags| tags.matches_weakly(&version)) {
-        return Ok((StatusCode::NOT_MODIFIED, about).into_response());
+    if versioned.is_known {
+        return Ok(versioned.not_modified());
     }
     let bytes = u64::from(pages[index].width) * u64::from(pages[index].height) * BYTES_PER_TEXEL;
     let picture = match format {
@@ -297,7 +293,7 @@ pub(super) async fn get_page(
     };
     let (file, exposure) = app.compute.draw(work).await??;
     let kind = if format == PageFormat::Png { "image/png" } else { "image/x-exr" };
-    let mut response = (about, [(header::CONTENT_TYPE, kind)], file).into_response();
+    let mut response = (versioned.about, [(header::CONTENT_TYPE, kind)], file).into_response();
     if let Some(stops) = exposure {
         let value = header::HeaderValue::from_str(&stops.to_string()).map_err(Problem::internal)?;
         response.headers_mut().insert("x-rebake-exposure", value);

@@ -9,9 +9,9 @@ use bytes::Bytes;
 use rebake_core::delta;
 
 use super::coding::encode_body;
-use super::elements::VERSION;
 use super::extract::{ApiPath, Coding, ETags};
 use super::problem::{ApiResult, Kind, Problem};
+use super::versioned::VERSION;
 use super::{Shared, find_scene};
 use crate::store::scenes::SceneEntry;
 use crate::store::versions::Published;

@@ -16,11 +16,11 @@ use tokio::sync::{OwnedSemaphorePermit, watch};
 use utoipa::{IntoParams, ToSchema};
 
 use super::coding::Coder;
-use super::elements::VERSION;
 use super::extract::{ApiPath, ApiQuery, Coding};
 use super::layers;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::PartName;
+use super::versioned::VERSION;
 use super::{Shared, etag, find_scene};
 use crate::state::{App, Phase};
 use crate::store::scenes::SceneEntry;

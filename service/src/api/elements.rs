@@ -1,17 +1,15 @@
 //! What the entries of a light map stand for.
 
 use axum::extract::State;
-use axum::http::{HeaderMap, HeaderName, StatusCode, header};
+use axum::http::{HeaderMap, header};
 use axum::response::{IntoResponse, Response};
 
 use super::coding::encode_body;
-use super::extract::{ApiPath, Coding, ETags};
+use super::extract::{ApiPath, Coding};
 use super::problem::{ApiResult, Problem};
-use super::{Shared, etag, find_scene};
+use super::versioned::Versioned;
+use super::{Shared, find_scene};
 use crate::engine;
-
-/// Header with the light map's version.
-pub(super) static VERSION: HeaderName = HeaderName::from_static("x-rebake-version");
 
 /// Position, normal, area and object of every element: 32 bytes each, little-endian `f32` position x y z, normal
 /// x y z, area, `u32` object index. Holes that removed objects left have area 0 and index 4294967295.
@@ -30,19 +28,13 @@ pub(super) static VERSION: HeaderName = HeaderName::from_static("x-rebake-versio
 )]
 pub(super) async fn get(State(app): Shared, ApiPath(id): ApiPath<String>, headers: HeaderMap) -> ApiResult<Response> {
     let published = find_scene(&app, &id).await?.published();
-    let tag = published.elements_version.to_string();
-    let known = ETags::from_header(&headers, &header::IF_NONE_MATCH)?;
-    let about = [
-        (header::ETAG, etag(published.elements_version)),
-        (VERSION.clone(), published.version.to_string()),
-        (header::VARY, "accept-encoding".to_owned()),
-    ];
-    if known.is_some_and(|tags| tags.matches_weakly(&tag)) {
-        return Ok((StatusCode::NOT_MODIFIED, about).into_response());
+    let versioned = Versioned::of_elements(&published, &headers, Some("accept-encoding"))?;
+    if versioned.is_known {
+        return Ok(versioned.not_modified());
     }
     let coding = Coding::accepted(&headers);
     let encode = move || encode_body(coding, engine::element_records(&published.world));
     let bytes = app.compute.run(encode).await?.map_err(Problem::internal)?;
     let kind = [(header::CONTENT_TYPE, "application/octet-stream")];
-    Ok((about, kind, coding.headers(), bytes).into_response())
+    Ok((versioned.about, kind, coding.headers(), bytes).into_response())
 }

@@ -11,6 +11,7 @@ use bytes::{Bytes, BytesMut};
 use http_body_util::BodyExt;
 use serde::de::DeserializeOwned;
 
+use super::edit_parse::read;
 use super::problem::{ApiResult, Kind, Problem};
 use crate::memory::Promise;
 use crate::state::App;
@@ -45,6 +46,14 @@ impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for ApiQuery<T> {
         };
         Query::from_request_parts(parts, state).await.map(|Query(query)| ApiQuery(query)).map_err(rejected)
     }
+}
+
+/// Reads a small JSON body, and names the field at fault where it is not of the expected shape.
+pub(crate) async fn read_json<T: DeserializeOwned>(app: &App, headers: &HeaderMap, body: Body) -> ApiResult<T> {
+    require_content_type(headers, &["application/json"])?;
+    let body = read_body(app, headers, body, app.config.limits.edit_bytes).await?;
+    let invalid = |error: serde_json::Error| Problem::new(Kind::InvalidJson, error.to_string());
+    read(serde_json::from_slice(&body).map_err(invalid)?, "")
 }
 
 /// Reads the file of an upload within its limits of size and time. What has arrived counts as memory for as long as the

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use axum::extract::State;
-use axum::http::{HeaderMap, StatusCode, header};
+use axum::http::{HeaderMap, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use glam::Vec3;
@@ -15,13 +15,13 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::atlas::{BYTES_PER_TEXEL, atlas_of};
 use super::coding::encode_body;
-use super::elements::VERSION;
-use super::extract::{ApiPath, ApiQuery, Coding, ETags, first_named};
+use super::extract::{ApiPath, ApiQuery, Coding, first_named};
 use super::layers;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::PartName;
 use super::uploads::memory_problem;
-use super::{Shared, etag, find_scene};
+use super::versioned::Versioned;
+use super::{Shared, find_scene};
 use crate::engine;
 use crate::pictures::Watch;
 use crate::state::App;
@@ -110,22 +110,17 @@ pub(super) async fn get(
 ) -> ApiResult<Response> {
     let scene = find_scene(&app, &id).await?;
     let published = scene.published();
-    let known = ETags::from_header(&headers, &header::IF_NONE_MATCH)?;
-    let version = published.version.to_string();
-    let about = [
-        (header::ETAG, etag(published.version)),
-        (VERSION.clone(), version.clone()),
-        (header::VARY, "accept, accept-encoding".to_owned()),
-    ];
+    let versioned = Versioned::of_light(&published, &headers, Some("accept, accept-encoding"))?;
     let format = query.format.unwrap_or_else(|| Format::accepted(&headers));
     let chosen = choose(&published, query.layer.as_deref(), query.part)?;
     check_all(&published, &chosen, format)?;
     if query.layout.is_some() && format != Format::Glb {
         return Err(Problem::field(Kind::InvalidQuery, "layout", "goes with format=glb"));
     }
-    if known.is_some_and(|tags| tags.matches_weakly(&version)) {
-        return Ok((StatusCode::NOT_MODIFIED, about).into_response());
+    if versioned.is_known {
+        return Ok(versioned.not_modified());
     }
+    let about = versioned.about;
     let coding = Coding::accepted(&headers);
     let default = if published.world.atlas().is_some() { GlbLayout::Atlas } else { GlbLayout::Vertices };
     if format == Format::Glb && query.layout.unwrap_or(default) == GlbLayout::Atlas {

@@ -34,6 +34,7 @@ pub(crate) mod skies;
 mod trace;
 pub mod types;
 mod uploads;
+mod versioned;
 
 use std::sync::Arc;
 use std::time::Duration;

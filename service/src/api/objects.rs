@@ -3,20 +3,20 @@
 use std::sync::Arc;
 
 use axum::extract::State;
-use axum::http::{HeaderMap, StatusCode, header};
+use axum::http::{HeaderMap, header};
 use axum::response::{IntoResponse, Response};
 use rebake_core::scene::LightKind;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::coding::encode_body;
-use super::elements::VERSION;
-use super::extract::{ApiPath, ApiQuery, Coding, ETags, first_named};
+use super::extract::{ApiPath, ApiQuery, Coding, first_named};
 use super::paging::Onward;
 use super::problem::{ApiResult, Kind, Problem};
 use super::scenes::ListQuery;
 use super::types::{SceneObject, finite};
-use super::{Shared, etag, find_scene};
+use super::versioned::Versioned;
+use super::{Shared, find_scene};
 use crate::engine::{self, ObjectSummary, Scene};
 use crate::store::versions::{Published, Wanted};
 
@@ -191,14 +191,8 @@ pub(super) async fn get(
     let published = find_scene(&app, &id).await?.published();
     let by_header = || first_named(&headers, ObjectFormat::ALL, ObjectFormat::content_type);
     let format = query.format.or_else(by_header).unwrap_or(ObjectFormat::Glb);
-    let known = ETags::from_header(&headers, &header::IF_NONE_MATCH)?;
-    let version = published.version.to_string();
-    let about = [
-        (header::ETAG, etag(published.version)),
-        (VERSION.clone(), version.clone()),
-        (header::VARY, "accept, accept-encoding".to_owned()),
-    ];
-    let is_known = known.is_some_and(|tags| tags.matches_weakly(&version));
+    let versioned = Versioned::of_light(&published, &headers, Some("accept, accept-encoding"))?;
+    let is_known = versioned.is_known;
     let coding = Coding::accepted(&headers);
     let write = move || {
         let object = find(&published, &name)?;
@@ -208,9 +202,9 @@ pub(super) async fn get(
     };
     let body = app.compute.answer(write).await??;
     if is_known {
-        return Ok((StatusCode::NOT_MODIFIED, about).into_response());
+        return Ok(versioned.not_modified());
     }
-    Ok((about, [(header::CONTENT_TYPE, format.content_type())], coding.headers(), body).into_response())
+    Ok((versioned.about, [(header::CONTENT_TYPE, format.content_type())], coding.headers(), body).into_response())
 }
 
 fn find<'a>(published: &'a Arc<Published>, name: &str) -> ApiResult<&'a ObjectSummary> {

@@ -189,8 +189,10 @@ fn add_problems(operation: &mut Operation) {
     // Where the service was started without tokens, none is needed.
     let either = || vec![SecurityRequirement::new("bearer", [""; 0]), SecurityRequirement::default()];
     operation.security = Some(if is_open { Vec::new() } else { either() });
+    // A request waits for a scene that is being prepared; only its events come at once.
+    let waits = own.contains(&Kind::SceneDamaged) && id != "scene_events";
     let mut by_status = std::collections::BTreeMap::<u16, Vec<String>>::new();
-    for kind in own.iter().chain(always) {
+    for kind in own.iter().chain(waits.then_some(&Kind::ScenePreparing)).chain(always) {
         let (slug, status, _, about) = kind.row();
         by_status.entry(status.as_u16()).or_default().push(format!("`{slug}`: {about}"));
     }

@@ -8,10 +8,10 @@ use rebake_core::render::{RenderOptions, Viewpoint};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use super::elements::VERSION;
 use super::extract::{ApiPath, ApiQuery};
 use super::painter::{BOUNDARY, Painter, content_type};
 use super::problem::{ApiResult, Kind, Problem};
+use super::versioned::VERSION;
 use super::{Shared, find_scene};
 use crate::engine::World;
 use crate::pictures::{

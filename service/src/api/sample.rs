@@ -10,10 +10,9 @@ use rebake_core::points::{PointOptions, light_at};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::edit_parse::read;
-use super::elements::VERSION;
-use super::extract::{ApiPath, read_body, require_content_type};
+use super::extract::{ApiPath, read_json};
 use super::problem::{ApiResult, Kind, Problem};
+use super::versioned::VERSION;
 use super::{Shared, find_scene};
 use crate::config::Limits;
 use crate::pictures::Watch;
@@ -111,10 +110,7 @@ pub(super) async fn create(
     body: Body,
 ) -> ApiResult<Response> {
     let scene = find_scene(&app, &id).await?;
-    require_content_type(&headers, &["application/json"])?;
-    let body = read_body(&app, &headers, body, app.config.limits.edit_bytes).await?;
-    let invalid = |error: serde_json::Error| Problem::new(Kind::InvalidJson, error.to_string());
-    let request: SampleRequest = read(serde_json::from_slice(&body).map_err(invalid)?, "")?;
+    let request: SampleRequest = read_json(&app, &headers, body).await?;
     let published = scene.published();
     let points = check_points(&request.points, &published, &app.config.limits)?;
     let samples = check_samples(&request, &app.config.limits)?;

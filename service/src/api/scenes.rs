@@ -8,12 +8,11 @@ use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
-use serde_json::Value;
 use utoipa::{IntoParams, ToSchema};
 
-use super::edit_parse::{check_name, eye_target_up, read, to_budget};
+use super::edit_parse::{check_name, eye_target_up, to_budget};
 use super::edit_types::Budget;
-use super::extract::{ApiPath, ApiQuery, read_body, require_content_type};
+use super::extract::{ApiPath, ApiQuery, read_json};
 use super::layers;
 use super::paging::Page;
 use super::problem::{ApiResult, Kind, Problem};
@@ -95,11 +94,7 @@ pub(super) async fn patch(
 ) -> ApiResult<Response> {
     require_serving(&app)?;
     let scene = find_scene(&app, &id).await?;
-    require_content_type(&headers, &["application/json"])?;
-    let body = read_body(&app, &headers, body, app.config.limits.edit_bytes).await?;
-    let value: Value =
-        serde_json::from_slice(&body).map_err(|error| Problem::new(Kind::InvalidJson, error.to_string()))?;
-    let ScenePatch { name, target } = read(value, "")?;
+    let ScenePatch { name, target } = read_json(&app, &headers, body).await?;
     if let Some(name) = &name {
         check_name(name, "name", app.config.limits.name_chars)?;
     }

@@ -12,7 +12,7 @@ pub(crate) enum Asked {
     MakeRoom,
     /// To leave what a newer edit of the scene makes superfluous: one waits.
     NewerEdit,
-    /// The same, for the next step of the drag that it is a step of.
+    /// To leave what the next step of its drag makes superfluous: that waits.
     NextStep,
     /// To stop. It goes on later, from where it started.
     Interrupt,

@@ -36,7 +36,7 @@ impl KeptDeltas {
         kept.iter().find(|kept| kept.versions == versions)?.frame.get().cloned()
     }
 
-    /// The same, made by `encode` where it was not. All that is kept takes `most_bytes`, or is this one alone.
+    /// The delta from one version to another, made by `encode` where it is not kept. All that is kept takes `most_bytes`, or is this one alone.
     pub(crate) fn find_or_make(
         &self,
         versions: (u64, u64),

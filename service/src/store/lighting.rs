@@ -89,7 +89,7 @@ fn unknown_after(transition: &Transition, before: Unknown) -> Unknown {
     Some(unknown.into())
 }
 
-/// The same of what was saved. `unlit`: the edits behind the light that was saved to start from.
+/// Elements whose light is none of theirs, in light that was saved. `unlit`: the edits behind the light that was saved to start from.
 pub(crate) fn unknown_of_saved(light: &LightRecord, unlit: &[Unlit]) -> Unknown {
     let about = &light.about;
     let Some(right_for) = about.right_for.or(light.lit.as_ref().map(|(sequence, _)| *sequence)) else {

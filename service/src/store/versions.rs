@@ -253,7 +253,7 @@ impl Published {
         }
     }
 
-    /// The same, of a layer at reference strengths; none where the map has no such layer.
+    /// One value per slot of what a client wants of a layer at reference strengths; none where the map has no such layer.
     pub(crate) fn deliver_layer(&self, name: &str, wanted: Wanted) -> Option<Cow<'_, [Vec3]>> {
         let layer = self.layer(name)?;
         Some(match wanted {

@@ -205,6 +205,9 @@ fn every_operation_says_who_may_call_it_and_what_it_answers() {
     for (id, operation) in operations(&document) {
         assert!(ids.insert(id.clone()), "{id} comes twice");
         assert!(operation["security"].is_array() && tags.contains(&&operation["tags"][0]), "{id}");
+        let told = operation["responses"].to_string();
+        let waits = told.contains("`scene-damaged`") && id != "scene_events";
+        assert_eq!(told.contains("`scene-preparing`"), waits, "{id}");
         for (status, response) in operation["responses"].as_object().unwrap() {
             assert!(response["description"].as_str().is_some_and(|text| !text.is_empty()), "{id}: {status}");
             for (kind, content) in response["content"].as_object().into_iter().flatten() {

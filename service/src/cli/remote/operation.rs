@@ -81,7 +81,7 @@ pub(super) enum Operation {
     Sky {
         /// An equirectangular picture: an .exr or .hdr file, or the id of an asset
         picture: Option<String>,
-        /// The same radiance from everywhere, linear RGB
+        /// Radiance that is alike from everywhere, linear RGB
         #[arg(long, value_name = "R,G,B")]
         radiance: Option<Rgb>,
         /// Turn the picture about the vertical, counter-clockwise seen from above
