@@ -56,6 +56,6 @@ pub use job::{Budget, Canceled, Observer, Pass, Progress, Snapshot, Unobserved};
 pub use lightmap::{LightMap, LightPart};
 pub use memory::keep_freed_memory;
 pub use refine::refine;
-pub use space::NO_OBJECT;
+pub use space::{Density, NO_OBJECT, object_areas};
 pub use update::update;
 pub use world::{LightInfo, ObjectInfo, Stated, Transition, Trees, World, WorldError, WorldOptions};

@@ -10,19 +10,19 @@ use glam::{DMat4, DVec3, Vec3};
 pub(crate) use rebake_core::atlas::{Atlas, AtlasError, AtlasOptions};
 use rebake_core::export::{AtlasAbout, EXR_WIDTH, Precision, write_atlas_glb, write_exr, write_page_exr};
 pub(crate) use rebake_core::layers::{Layer, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER};
+pub(crate) use rebake_core::object_areas;
 use rebake_core::render::{Picture, ToneMap, auto_exposure};
 pub(crate) use rebake_core::scene::Object;
 use rebake_core::scene::{self, DEFAULT_MAX_ALBEDO, LoadLimits, NodeSource};
 pub use rebake_core::scene::{LoadError, Scene};
 pub(crate) use rebake_core::scene::{Outside, SkyPicture};
-pub use rebake_core::surface::Density;
 pub use rebake_core::surface::SurfaceError;
 use rebake_core::texels::read_page;
 pub use rebake_core::{
     Budget, Canceled, DragBasis, Edit, EditError, EditErrorKind, Focus, Importance, LightMap, Observer, Pass, Progress,
     Relight, Snapshot, TileMode, Tiles,
 };
-pub use rebake_core::{Stated, Transition, World, WorldError, WorldOptions};
+pub use rebake_core::{Density, Stated, Transition, World, WorldError, WorldOptions};
 
 use crate::config::Limits;
 

@@ -9,17 +9,16 @@ use rebake_core::surface::object_area;
 use crate::engine::{Density, Edit, Scene};
 use crate::state::App;
 use crate::store::layers::LAYER_BYTES;
-use crate::store::scenes::SceneEntry;
+use crate::store::scene::SceneEntry;
 
 /// Bytes of an element with its two triangles: geometry, trees, the light map and what is kept beside it.
 const BYTES_PER_ELEMENT: f64 = 600.0;
 /// Where the machine does not tell.
 const UNKNOWN_MACHINE: u64 = 8 << 30;
 
-/// Bytes that a scene will take, from its area and its vertices. Rather too much than too little.
-pub(crate) fn estimate(scene: &Scene, density: Density) -> u64 {
-    let areas = scene.objects.iter().map(|object| object_area(object));
-    to_bytes(density.elements(areas, vertices(scene)))
+/// Bytes that a scene will take, from the areas of its objects (m²) and its vertices. Rather too much than too little.
+pub(crate) fn estimate(density: Density, areas: &[f64], vertices: usize) -> u64 {
+    to_bytes(density.elements(areas, vertices))
 }
 
 /// Bytes that what `edits` insert will take, at the size at which it is inserted.
@@ -30,7 +29,7 @@ pub(crate) fn estimate_inserts(edits: &[Edit], density: Density) -> u64 {
             |object: &Object| Object { world_from_object: *transform * object.world_from_object, ..object.clone() };
         // They become one object.
         let area: f64 = asset.objects.iter().map(|object| object_area(&placed(object))).sum();
-        to_bytes(density.elements(std::iter::once(area), vertices(asset)))
+        estimate(density, &[area], vertices(asset))
     };
     edits.iter().map(bytes).fold(0, u64::saturating_add)
 }
@@ -59,7 +58,8 @@ pub(crate) fn estimate_layers(scene_bytes: u64, layers: usize) -> u64 {
     (scene_bytes as f64 / BYTES_PER_ELEMENT * LAYER_BYTES as f64 * layers as f64) as u64
 }
 
-fn vertices(scene: &Scene) -> usize {
+/// Vertices of a scene, or its triangles where these are more.
+pub(crate) fn vertices(scene: &Scene) -> usize {
     scene.objects.iter().map(|object| object.mesh.positions.len().max(object.mesh.triangles.len())).sum()
 }
 

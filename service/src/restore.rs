@@ -20,9 +20,10 @@ use crate::store::StoreError;
 use crate::store::assets::Content;
 use crate::store::disk::{Disk, Saved, SavedEdit, SavedScene};
 use crate::store::history::{self, History, Turn};
+use crate::store::keys::IdempotencyKeys;
 use crate::store::lighting::{Lighting, Sequence, Unlit, unknown_of_saved};
 use crate::store::records::{JobRecord, LightRecord, SceneRecord, StoredAtlas, StoredOutside};
-use crate::store::scenes::{Head, IdempotencyKeys, NewScene, SceneEntry, SceneState};
+use crate::store::scene::{Head, NewScene, SceneEntry, SceneState};
 use crate::store::versions::{Published, RESERVE};
 use crate::unit::LightUnit;
 
@@ -321,7 +322,7 @@ fn bake_again(app: &Arc<App>, scene: &Arc<SceneEntry>) {
     let default = JobBudget { samples_per_element, max_seconds: None, target_rmse: None };
     let budget = scene.target().unwrap_or(default);
     let mut jobs = head.jobs;
-    let seed = crate::api::next_seed(app.config.seed, &mut jobs);
+    let seed = crate::jobs::seeds::next_seed(app.config.seed, &mut jobs);
     let sequence = head.sequence;
     let spec = JobSpec::new(budget, seed, sequence);
     let Ok(ticket) = app.ticket(scene.number) else { return };

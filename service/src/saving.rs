@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 use crate::jobs::queue::JobNumber;
 use crate::state::App;
 use crate::store::StoreError;
-use crate::store::scenes::{SceneEntry, SceneState};
+use crate::store::scene::{SceneEntry, SceneState};
 use crate::store::versions::RESERVE;
 
 impl App {

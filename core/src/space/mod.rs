@@ -7,6 +7,7 @@
 
 mod albedo;
 mod cells;
+mod density;
 mod elements;
 mod footprint;
 mod holes;
@@ -22,6 +23,7 @@ mod tests;
 
 pub(crate) use albedo::{Albedo, Albedos};
 pub(crate) use cells::Patch;
+pub use density::{Density, object_areas};
 pub(crate) use footprint::{Footprint, Spot};
 pub(crate) use layout::{Elements, Layout};
 pub(crate) use offset::ray_offset;

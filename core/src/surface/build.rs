@@ -106,17 +106,3 @@ pub fn object_area(object: &Object) -> f64 {
     };
     object.mesh.triangles.iter().map(area).sum()
 }
-
-/// The spacing in metres at which `total_area` (m²) has about `elements` squares of that side, rounded to two digits.
-///
-/// Large flat surfaces get two to three elements per square, since it is the diagonals that must not exceed the
-/// spacing. Meshes finer than this get more: every vertex of the file is an element.
-pub fn default_spacing(total_area: f64, elements: usize) -> f32 {
-    let spacing = (total_area / elements.max(1) as f64).sqrt();
-    if !(spacing.is_finite() && spacing > 0.0) {
-        return 1.0;
-    }
-    let unit = 10_f64.powf(spacing.log10().floor() - 1.0);
-    let rounded = ((spacing / unit).round() * unit) as f32;
-    if rounded.is_finite() && rounded > 0.0 { rounded } else { 1.0 }
-}

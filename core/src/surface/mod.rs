@@ -3,7 +3,6 @@
 
 mod build;
 mod corners;
-mod density;
 mod facets;
 mod place;
 mod see_through;
@@ -12,8 +11,7 @@ mod tests;
 mod topology;
 mod weld;
 
-pub use self::build::{default_spacing, object_area};
-pub use self::density::{DEFAULT_SQUARES, Density};
+pub use self::build::object_area;
 
 pub(crate) use self::build::{barycentrics, triangle_area};
 pub(crate) use self::corners::Corners;

@@ -102,15 +102,6 @@ fn open_and_doubled_surfaces_are_not_closed() {
     assert!(!build(doubled).closed);
 }
 
-#[test]
-fn default_spacing_has_two_digits() {
-    assert_eq!(default_spacing(130.0 * 0.0123 * 0.0123, 130), 0.012);
-    assert_eq!(default_spacing(0.0, 100), 1.0);
-    assert_eq!(default_spacing(f64::NAN, 100), 1.0);
-    assert_eq!(default_spacing(f64::INFINITY, 100), 1.0);
-    assert!(default_spacing(1e-300, 100) > 0.0);
-}
-
 /// The scenes of the workshop, where they are at hand: their surfaces hold what they promise.
 #[test]
 fn real_scenes_have_valid_surfaces() {

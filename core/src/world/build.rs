@@ -11,21 +11,21 @@ use super::openings::Openings;
 use super::{Coarse, Emitters, Placed, Resolution, Trees, Validity, World, WorldError, WorldOptions, probe};
 use crate::bvh::{BuildQuality, Bvh};
 use crate::scene::{Object, Scene};
-use crate::space::{Albedo, Albedos, Elements, Layout, Space};
-use crate::surface::{Density, Facet, Facets, SeeThrough, Surface, facet_area, object_area};
+use crate::space::{Albedo, Albedos, Density, Elements, Layout, Space, object_areas};
+use crate::surface::{Facet, Facets, SeeThrough, Surface, facet_area, object_area};
 
 /// Edge of the cells that smooth light is evaluated in, in units of [`Resolution::smooth`].
 pub(crate) const COARSE_RADIUS: f32 = 2.5;
 
 pub(super) fn build(mut scene: Scene, options: &WorldOptions) -> Result<World, WorldError> {
-    let chosen = Density::chosen(&scene);
-    let density = density_of(options, chosen)?;
+    let areas = object_areas(&scene);
+    let density = density_of(options, &areas)?;
     let spacing = density.spacing;
     if !(0.0..=1.0).contains(&options.max_albedo) {
         return Err(WorldError::MaxAlbedo(options.max_albedo));
     }
-    warn_where_coarse(&mut scene, density);
-    let resolution = Resolution { density, smooth: smooth_of(options, &scene, spacing) };
+    warn_where_coarse(&mut scene, &areas, density);
+    let resolution = Resolution { density, smooth: smooth_of(options, &areas, spacing) };
     let ready: Vec<Ready> =
         scene.objects.par_iter().map(|o| Ready::new(&scene, o, resolution, options)).collect::<Result<_, _>>()?;
     check_size(ready.iter().map(|r| &*r.layout), spacing, options)?;
@@ -62,13 +62,13 @@ pub(super) fn build(mut scene: Scene, options: &WorldOptions) -> Result<World, W
 }
 
 /// Meshes may be finer than a spacing that is given, and light then shows details that large cells would blur.
-fn smooth_of(options: &WorldOptions, scene: &Scene, spacing: f32) -> f32 {
-    if options.spacing.is_some() { spacing.min(Density::even_spacing(scene)) } else { spacing }
+fn smooth_of(options: &WorldOptions, areas: &[f64], spacing: f32) -> f32 {
+    if options.spacing.is_some() { spacing.min(Density::even_spacing(areas)) } else { spacing }
 }
 
-fn density_of(options: &WorldOptions, chosen: Density) -> Result<Density, WorldError> {
+fn density_of(options: &WorldOptions, areas: &[f64]) -> Result<Density, WorldError> {
     let density = match options.spacing {
-        None => chosen,
+        None => Density::chosen(areas),
         Some(spacing) => Density::even(spacing),
     };
     let density = Density { object_squares: options.object_squares.unwrap_or(density.object_squares), ..density };
@@ -81,12 +81,12 @@ fn density_of(options: &WorldOptions, chosen: Density) -> Result<Density, WorldE
 }
 
 /// Says on which objects elements lie farther apart than elsewhere.
-fn warn_where_coarse(scene: &mut Scene, density: Density) {
-    let coarse = |object: &Arc<Object>| {
-        let spacing = density.of_object(object_area(object));
+fn warn_where_coarse(scene: &mut Scene, areas: &[f64], density: Density) {
+    let coarse = |(object, area): (&Arc<Object>, &f64)| {
+        let spacing = density.of_object(*area);
         (spacing > density.spacing).then(|| format!("{:?} ({spacing:.2} m)", object.name))
     };
-    let coarse: Vec<String> = scene.objects.iter().filter_map(coarse).collect();
+    let coarse: Vec<String> = scene.objects.iter().zip(areas).filter_map(coarse).collect();
     if !coarse.is_empty() {
         let spacing = density.spacing;
         let list = coarse.join(", ");

@@ -46,8 +46,8 @@ use rayon::prelude::*;
 use crate::atlas::{Atlas, AtlasError, AtlasOptions, Item};
 use crate::chunks::Chunks;
 use crate::scene::{DEFAULT_MAX_ALBEDO, Scene};
-use crate::space::{Layout, Placement, Space};
-use crate::surface::{Density, Facets, SeeThrough, Surface, SurfaceError};
+use crate::space::{Density, Layout, Placement, Space};
+use crate::surface::{Facets, SeeThrough, Surface, SurfaceError};
 
 /// Limits and resolution of a world.
 #[derive(Clone, Copy, Debug, PartialEq)]

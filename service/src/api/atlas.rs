@@ -22,7 +22,7 @@ use crate::engine::{self, Atlas, AtlasError, AtlasOptions, AtlasPicture, World};
 use crate::pictures::Watch;
 use crate::state::App;
 use crate::store::records::StoredAtlas;
-use crate::store::scenes::SceneEntry;
+use crate::store::scene::SceneEntry;
 use crate::store::versions::Published;
 
 /// Bytes per texel of a page while it is made and written.

@@ -13,7 +13,7 @@ use super::extract::{ApiPath, Coding, ETags};
 use super::problem::{ApiResult, Kind, Problem};
 use super::versioned::VERSION;
 use super::{Shared, find_scene};
-use crate::store::scenes::SceneEntry;
+use crate::store::scene::SceneEntry;
 use crate::store::versions::Published;
 
 /// Deltas that are kept take this many times the bytes of the map's values.

@@ -23,7 +23,7 @@ use super::types::PartName;
 use super::versioned::VERSION;
 use super::{Shared, etag, find_scene};
 use crate::state::{App, Phase};
-use crate::store::scenes::SceneEntry;
+use crate::store::scene::SceneEntry;
 use crate::store::versions::{Published, Wanted};
 
 /// How values travel.

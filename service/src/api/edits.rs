@@ -16,12 +16,13 @@ use super::extract::{ApiPath, ETags, read_body, require_content_type, text_heade
 use super::layers::check_edits;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::{Job, to_event_data};
-use super::uploads::{full_problem, memory_problem, next_seed};
+use super::uploads::{full_problem, memory_problem};
 use super::{Shared, etag, find_scene, require_serving};
 use crate::config::Config;
 use crate::engine::{Edit, EditError, EditErrorKind, Focus, Importance, Scene, World};
 use crate::jobs::merge::dragged_by;
 use crate::jobs::queue::{JobKind, Priority};
+use crate::jobs::seeds::next_seed;
 use crate::jobs::{About, JobSpec, new_record};
 use crate::memory;
 use crate::state::App;
@@ -29,7 +30,7 @@ use crate::store::assets::Assets;
 use crate::store::history::{self, History};
 use crate::store::lighting::{Sequence, Unlit};
 use crate::store::records::{Accepted, EditRecord, KeyRecord};
-use crate::store::scenes::{Head, SceneEntry};
+use crate::store::scene::{Head, SceneEntry};
 
 static IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
 

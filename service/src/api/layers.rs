@@ -13,7 +13,7 @@ use crate::engine::{Edit, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER, Scene, World};
 use crate::memory::Promise;
 use crate::state::App;
 use crate::store::layers::{LAYER_BYTES, PublishedLayer};
-use crate::store::scenes::SceneEntry;
+use crate::store::scene::SceneEntry;
 use crate::store::versions::{Part, Published};
 
 /// The layers that an upload asks for.

@@ -25,7 +25,7 @@ use super::{Shared, find_scene};
 use crate::engine;
 use crate::pictures::Watch;
 use crate::state::App;
-use crate::store::scenes::SceneEntry;
+use crate::store::scene::SceneEntry;
 use crate::store::versions::{Published, Wanted};
 
 /// File formats of a light map.

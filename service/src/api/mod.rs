@@ -6,6 +6,7 @@ mod between;
 mod coding;
 mod deltas;
 mod drain;
+mod edit_light_types;
 mod edit_lights;
 mod edit_names;
 pub(crate) mod edit_parse;
@@ -33,6 +34,7 @@ mod scenes;
 pub(crate) mod skies;
 mod trace;
 pub mod types;
+mod upload_query;
 mod uploads;
 mod versioned;
 
@@ -52,10 +54,9 @@ use tower_http::cors::{AllowOrigin, Any, CorsLayer};
 
 pub use edits::{read_edits, read_focus};
 pub use openapi::document;
-pub(crate) use uploads::{mixed, next_seed};
 
 use crate::state::App;
-use crate::store::scenes::SceneEntry;
+use crate::store::scene::SceneEntry;
 use problem::{ApiResult, Kind, Problem};
 
 /// What handlers get.

@@ -23,7 +23,7 @@ use crate::jobs::budget::JobBudget;
 use crate::state::App;
 use crate::store::StoreError;
 use crate::store::records::SceneChange;
-use crate::store::scenes::SceneEntry;
+use crate::store::scene::SceneEntry;
 use crate::store::versions::Published;
 
 /// Which page of a list.

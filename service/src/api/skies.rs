@@ -9,7 +9,7 @@ use super::edit_lights::BRIGHTEST;
 use super::edit_parse::{check_strength, join};
 use super::edit_types;
 use super::problem::{ApiResult, Kind, Problem};
-use super::uploads::CreateQuery;
+use super::upload_query::CreateQuery;
 use crate::engine::{Edit, Outside, Scene, SkyPicture};
 use crate::store::assets::{Assets, Content};
 use crate::store::records::{StoredOutside, StoredSky};

@@ -52,9 +52,9 @@ pub enum SceneState {
     Damaged,
 }
 
-impl From<crate::store::scenes::SceneState> for SceneState {
-    fn from(state: crate::store::scenes::SceneState) -> SceneState {
-        use crate::store::scenes::SceneState as Kept;
+impl From<crate::store::scene::SceneState> for SceneState {
+    fn from(state: crate::store::scene::SceneState) -> SceneState {
+        use crate::store::scene::SceneState as Kept;
         match state {
             Kept::Preparing => SceneState::Preparing,
             Kept::Ready => SceneState::Ready,

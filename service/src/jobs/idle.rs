@@ -11,14 +11,14 @@ use std::time::Instant;
 use super::State;
 use super::phases::PhaseClock;
 use super::scheduler::{self, Settled, Spell};
+use super::seeds::next_seed;
 use super::stop::Stop;
-use crate::api::next_seed;
 use crate::compute::catching;
 use crate::config::IdleRefine;
 use crate::engine::{Budget, LightMap, Observer, Progress, Snapshot, mean_light};
 use crate::state::App;
 use crate::store::lighting::Lit;
-use crate::store::scenes::SceneEntry;
+use crate::store::scene::SceneEntry;
 
 /// Seeds of idle time lie here, those of a scene's jobs far below.
 const FIRST_SEED: u64 = 1 << 48;

@@ -17,7 +17,7 @@ use crate::state::App;
 use crate::store::StoreError;
 use crate::store::lighting::Sequence;
 use crate::store::records::JobRecord;
-use crate::store::scenes::SceneEntry;
+use crate::store::scene::SceneEntry;
 use crate::store::versions::Published;
 
 /// A promised place in the queue, given back where nothing comes of it.

@@ -11,7 +11,7 @@ use super::stop::{Asked, Stop};
 use crate::engine::{LightMap, Observer, Progress, Snapshot, lengthened};
 use crate::state::App;
 use crate::store::lighting::{Lit, Sequence};
-use crate::store::scenes::SceneEntry;
+use crate::store::scene::SceneEntry;
 
 /// What a piece of work makes way for before its budget is used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -4,12 +4,12 @@ use std::sync::Arc;
 
 use super::budget::JobBudget;
 use super::queue::{JobKind, JobState, Priority};
+use super::seeds::next_seed;
 use super::stop::Asked;
 use super::{JobSpec, new_record};
-use crate::api::next_seed;
 use crate::state::App;
 use crate::store::records::Accepted;
-use crate::store::scenes::SceneEntry;
+use crate::store::scene::SceneEntry;
 
 /// Seeds of jobs that no request asked for lie here, those of requests far below.
 const FIRST_SEED: u64 = 1 << 49;

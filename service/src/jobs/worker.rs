@@ -9,9 +9,9 @@ use rebake_core::edit::Cost;
 use super::merge::dragged_by;
 use super::observer::{JobObserver, Piece, Yields};
 use super::queue::{JobKind, JobNumber, Outcome};
+use super::seeds::mixed;
 use super::stop::{Asked, Stop};
 use super::{JobSpec, merge};
-use crate::api::mixed;
 use crate::compute::catching;
 use crate::engine::{
     Budget, Canceled, Edit, LightMap, Pass, Progress, Snapshot, Transition, Update, World, carry_over, have_same_slots,
@@ -19,7 +19,7 @@ use crate::engine::{
 };
 use crate::state::App;
 use crate::store::lighting::{Samples, Sequence, Unlit, Work};
-use crate::store::scenes::SceneEntry;
+use crate::store::scene::SceneEntry;
 
 /// A job that starts.
 pub(crate) struct Run {

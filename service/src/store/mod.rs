@@ -9,9 +9,11 @@ mod drag;
 mod earlier;
 pub mod faults;
 pub(crate) mod history;
+pub(crate) mod keys;
 pub(crate) mod layers;
 pub(crate) mod lighting;
 pub(crate) mod records;
+pub(crate) mod scene;
 pub(crate) mod scenes;
 pub(crate) mod versions;
 

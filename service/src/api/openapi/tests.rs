@@ -5,7 +5,7 @@ use axum::http::Uri;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
-use super::super::{atlas, deltas, edit_parse, jobs, lightmap, objects, render, sample, scenes, uploads};
+use super::super::{atlas, deltas, edit_parse, jobs, lightmap, objects, render, sample, scenes, upload_query};
 use super::document;
 
 fn described() -> Value {
@@ -33,7 +33,7 @@ fn reads<T: DeserializeOwned>(query: &str) -> Result<(), String> {
 /// Reads a query as the operation does.
 fn read_query(operation: &str, query: &str) -> Result<(), String> {
     match operation {
-        "create_scene" => reads::<uploads::CreateQuery>(query),
+        "create_scene" => reads::<upload_query::CreateQuery>(query),
         "list_scenes" | "list_assets" | "list_edits" | "list_objects" => reads::<scenes::ListQuery>(query),
         "list_jobs" => reads::<jobs::ListQuery>(query),
         "get_object" => reads::<objects::ObjectQuery>(query),

@@ -2,12 +2,12 @@
 
 use rayon::prelude::*;
 
-use super::build::{default_spacing, object_area};
 use crate::scene::Scene;
+use crate::surface::object_area;
 
 /// Squares of one spacing that a scene is laid out with where nobody says how finely. Large flat surfaces get two to
 /// three elements per square.
-pub const DEFAULT_SQUARES: usize = 22_000;
+const DEFAULT_SQUARES: usize = 22_000;
 
 /// Most elements per square: it is the diagonals of squares that must not exceed the spacing.
 const ELEMENTS_PER_SQUARE: f64 = 3.0;
@@ -31,10 +31,12 @@ pub struct Density {
 }
 
 impl Density {
-    /// What is chosen for a scene: elements as if its area were evenly divided into [`DEFAULT_SQUARES`], unless it lies on a
+    /// What is chosen for a scene: elements as if its area were 22,000 squares of one spacing, unless it lies on a
     /// ground (or under a dome) that would have them all. That one gets so many, and what stands on it its own.
-    pub fn chosen(scene: &Scene) -> Density {
-        let mut areas = areas(scene);
+    ///
+    /// `areas`: of its objects, m² ([`object_areas`]).
+    pub fn chosen(areas: &[f64]) -> Density {
+        let mut areas = areas.to_vec();
         areas.sort_unstable_by(|a, b| b.total_cmp(a));
         let all: f64 = areas.iter().sum();
         // A ground, or a ground and a dome where there is more than a few objects.
@@ -48,9 +50,9 @@ impl Density {
         Density { spacing: default_spacing(effective, DEFAULT_SQUARES), object_squares: OBJECT_SQUARES }
     }
 
-    /// The spacing of a scene of this area, metres, whatever it is that has the area.
-    pub(crate) fn even_spacing(scene: &Scene) -> f32 {
-        default_spacing(areas(scene).into_iter().sum(), DEFAULT_SQUARES)
+    /// The spacing of a scene whose objects have these areas (m²), metres, whatever it is that has the area.
+    pub(crate) fn even_spacing(areas: &[f64]) -> f32 {
+        default_spacing(areas.iter().sum(), DEFAULT_SQUARES)
     }
 
     /// Every object alike.
@@ -60,9 +62,10 @@ impl Density {
 
     /// This, with elements farther apart on the largest objects where the scene would have more than `max_elements`
     /// otherwise. Most objects keep their spacing, or there is no such density.
-    pub fn within(self, scene: &Scene, max_elements: usize) -> Option<Density> {
-        let mut squares: Vec<f64> = areas(scene).into_iter().map(|area| self.squares(area)).collect();
-        let vertices: usize = scene.objects.iter().map(|object| object.mesh.positions.len()).sum();
+    ///
+    /// `areas`: of its objects, m² ([`object_areas`]), which have so many vertices in all.
+    pub fn within(self, areas: &[f64], vertices: usize, max_elements: usize) -> Option<Density> {
+        let mut squares: Vec<f64> = areas.iter().map(|area| self.squares(*area)).collect();
         let room = (max_elements as f64 - vertices as f64) / ELEMENTS_PER_SQUARE;
         let mut left = room - squares.iter().sum::<f64>();
         if left >= 0.0 {
@@ -86,8 +89,8 @@ impl Density {
     }
 
     /// Elements that objects of these areas (m²) and so many vertices in all have at most.
-    pub fn elements(&self, areas: impl Iterator<Item = f64>, vertices: usize) -> f64 {
-        vertices as f64 + ELEMENTS_PER_SQUARE * areas.map(|area| self.squares(area)).sum::<f64>()
+    pub fn elements(&self, areas: &[f64], vertices: usize) -> f64 {
+        vertices as f64 + ELEMENTS_PER_SQUARE * areas.iter().map(|area| self.squares(*area)).sum::<f64>()
     }
 
     /// Squares of its spacing that an object of `area` m² has.
@@ -96,9 +99,23 @@ impl Density {
     }
 }
 
-/// m² of each object, in order: sums of them are the same on any number of threads.
-fn areas(scene: &Scene) -> Vec<f64> {
+/// m² of each object of a scene, in order: sums of them are the same on any number of threads.
+pub fn object_areas(scene: &Scene) -> Vec<f64> {
     scene.objects.par_iter().map(|object| object_area(object)).collect()
+}
+
+/// The spacing in metres at which `total_area` (m²) has about `elements` squares of that side, rounded to two digits.
+///
+/// Large flat surfaces get two to three elements per square, since it is the diagonals that must not exceed the
+/// spacing. Meshes finer than this get more: every vertex of the file is an element.
+fn default_spacing(total_area: f64, elements: usize) -> f32 {
+    let spacing = (total_area / elements.max(1) as f64).sqrt();
+    if !(spacing.is_finite() && spacing > 0.0) {
+        return 1.0;
+    }
+    let unit = 10_f64.powf(spacing.log10().floor() - 1.0);
+    let rounded = ((spacing / unit).round() * unit) as f32;
+    if rounded.is_finite() && rounded > 0.0 { rounded } else { 1.0 }
 }
 
 #[cfg(test)]
@@ -130,35 +147,43 @@ mod tests {
             &[0.3],
             &[],
         ] {
-            let density = Density::chosen(&scene(usual));
+            let density = Density::chosen(&object_areas(&scene(usual)));
             assert_eq!(density.spacing, even(usual), "{usual:?}");
             assert!(usual.iter().all(|area| density.of_object(f64::from(*area)) <= density.spacing));
         }
         for ground in [&[1e6_f32, 120.0, 80.0][..], &[1e6, 200.0], &[4e6, 1e6, 50.0, 70.0, 80.0]] {
-            let density = Density::chosen(&scene(ground));
+            let density = Density::chosen(&object_areas(&scene(ground)));
             assert!((0.15..0.2).contains(&density.spacing), "{density:?}");
             let of_ground = density.of_object(1e6);
             assert!((6.0..6.3).contains(&of_ground), "{of_ground}");
         }
         // A little more ground changes little.
-        let of = |ground: f32| Density::chosen(&scene(&[ground, 1.0])).spacing;
+        let of = |ground: f64| Density::chosen(&[ground, 1.0]).spacing;
         assert!((of(25.5) / of(24.5) - 1.0).abs() < 0.05);
     }
 
     #[test]
     fn a_limit_is_met_by_what_is_large() {
         let density = Density::even(0.1);
-        let scene = scene(&[1000.0, 500.0, 10.0, 10.0, 10.0]);
-        assert_eq!(density.within(&scene, 1_000_000), Some(density));
-        let areas = || [1000.0, 500.0, 10.0, 10.0, 10.0].into_iter();
+        let areas = [1000.0, 500.0, 10.0, 10.0, 10.0];
+        assert_eq!(density.within(&areas, 20, 1_000_000), Some(density));
         for limit in [20_000, 50_000, 200_000, 400_000] {
-            let within = density.within(&scene, limit).unwrap();
-            let elements = within.elements(areas(), 20);
+            let within = density.within(&areas, 20, limit).unwrap();
+            let elements = within.elements(&areas, 20);
             assert!(elements <= 1.001 * limit as f64 && elements > 0.99 * limit as f64, "{limit}: {elements}");
             assert_eq!((within.spacing, within.of_object(10.0)), (0.1, 0.1));
         }
         // Not by all of them.
-        assert_eq!(density.within(&scene, 10_000), None);
-        assert_eq!(density.within(&self::scene(&[100.0]), 9_000), None);
+        assert_eq!(density.within(&areas, 20, 10_000), None);
+        assert_eq!(density.within(&[100.0], 4, 9_000), None);
+    }
+
+    #[test]
+    fn default_spacing_has_two_digits() {
+        assert_eq!(default_spacing(130.0 * 0.0123 * 0.0123, 130), 0.012);
+        assert_eq!(default_spacing(0.0, 100), 1.0);
+        assert_eq!(default_spacing(f64::NAN, 100), 1.0);
+        assert_eq!(default_spacing(f64::INFINITY, 100), 1.0);
+        assert!(default_spacing(1e-300, 100) > 0.0);
     }
 }

@@ -1,0 +1,182 @@
+//! How to upload a scene: the query, and what it asks for.
+
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+use super::atlas::{self, LayoutName};
+use super::edit_parse::{check_name, check_strength, to_budget};
+use super::edit_types::Budget;
+use super::layers::Wanted;
+use super::problem::{ApiResult, Kind, Problem};
+use super::skies;
+use super::types::JobPriority;
+use crate::engine::AtlasOptions;
+use crate::jobs::budget::JobBudget;
+use crate::mode::Mode;
+use crate::state::App;
+use crate::store::records::StoredOutside;
+use crate::unit::LightUnit;
+
+/// Largest albedo that may be asked for: light halves in 700 bounces.
+const LARGEST_ALBEDO: f32 = 0.999;
+
+/// How to upload a scene.
+#[derive(Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct CreateQuery {
+    /// Name for people.
+    #[param(example = "living room")]
+    name: Option<String>,
+    /// Largest distance between neighbouring elements, metres; chosen from the scene's size where absent. On a few objects that
+    /// are too large for it (a ground of a square kilometre) they lie farther apart, with a warning.
+    #[param(example = 0.1)]
+    spacing: Option<f32>,
+    /// What the light map holds; `full` where absent.
+    #[param(inline)]
+    mode: Option<Mode>,
+    /// Constant radiance from outside, `r,g,b`: adds a light named `environment`.
+    #[param(example = "1,1,1")]
+    pub(super) environment: Option<String>,
+    /// A picture of the sky, uploaded as an asset: adds a light named `environment`.
+    #[param(example = "d74981efa70a0c880b8d8c1985d075dbcbf679b99a5f9914e5aaf96b831a9e24")]
+    pub(super) sky: Option<String>,
+    /// By how much that picture is turned about +y, counter-clockwise seen from above, degrees; 0 where absent.
+    #[param(example = 90.0)]
+    pub(super) sky_rotation: Option<f32>,
+    /// Factor on its radiance; 1 where absent.
+    #[param(example = 1.0)]
+    pub(super) sky_strength: Option<f32>,
+    /// Whether a scene that has no light at all gets a plain sky, of radiance 1 from everywhere; `false` where absent.
+    pub(super) default_sky: Option<bool>,
+    /// Angle that the discs of directional lights of the file take up, degrees, below 180: the sun's is 0.53. 0 where
+    /// absent, as glTF has it: hard shadows.
+    #[param(example = 0.53)]
+    pub(super) sun_angle: Option<f32>,
+    /// What the intensities of the file's point and spot lights are: `candela` (glTF's; `candela` where absent), or `watt`,
+    /// the power into all directions, as Blender writes in its lighting mode "Raw": 1 / 4π of it per steradian. Emissive
+    /// surfaces and directional lights stay as they are.
+    #[param(inline)]
+    unit: Option<LightUnit>,
+    /// Largest albedo that light meets, above 0 and up to 0.999: what is above, of the file, of inserted assets and of
+    /// repaints, counts as this. 0.95 where absent.
+    #[param(example = 0.99)]
+    max_albedo: Option<f32>,
+    /// How the light map is delivered. `vertices`, the default: by element, at the corners of a subdivided mesh. `atlas`:
+    /// objects also have rectangles on pages of texels, which stay where they are through all edits.
+    #[param(inline)]
+    layout: Option<LayoutName>,
+    /// Texels per metre of surface of the atlas; asks for one. One per spacing where absent.
+    #[param(example = 20.0)]
+    texels_per_metre: Option<f32>,
+    /// Which lights have layers of their own in the light map, so that relighting them needs no rays: `shared` (none,
+    /// the default; lights that are relit get one then), `each` (every light; at most 15), or a JSON object of layers
+    /// with their lights (at most 15; the other lights share one more).
+    #[param(example = "{\"ceiling\": [\"lamp-1\", \"lamp-2\"]}")]
+    layers: Option<String>,
+    /// Start a bake at once; `true` where absent.
+    bake: Option<bool>,
+    /// What the scene works towards, as JSON like the `budget` of an edit: the bake ends there, edits interrupt it, and what
+    /// they leave behind is refined towards it. In place of the three below.
+    #[param(example = "{\"target_rmse\": 0.01, \"max_seconds\": 60}")]
+    target: Option<String>,
+    /// The target: samples per element; 128 where nothing else is asked for.
+    #[param(example = 128)]
+    samples_per_element: Option<u32>,
+    /// The target: seconds from the upload.
+    max_seconds: Option<f64>,
+    /// The target: stated error.
+    target_rmse: Option<f32>,
+    /// Tell what the scene would take, and keep nothing: 200, a ScenePlan; `false` where absent.
+    pub(super) dry_run: Option<bool>,
+    /// Whose turn comes sooner, of the bake; `normal` where absent.
+    #[param(inline)]
+    priority: Option<JobPriority>,
+}
+
+/// A query, checked.
+pub(super) struct Options {
+    pub(super) name: String,
+    pub(super) spacing: Option<f32>,
+    pub(super) mode: Mode,
+    pub(super) environment: Option<[f32; 3]>,
+    pub(super) outside: StoredOutside,
+    pub(super) unit: LightUnit,
+    pub(super) max_albedo: Option<f32>,
+    pub(super) atlas: Option<AtlasOptions>,
+    pub(super) layers: Wanted,
+    pub(super) bake: bool,
+    pub(super) target: Option<JobBudget>,
+    pub(super) priority: JobPriority,
+}
+
+impl Options {
+    pub(super) fn from_query(query: CreateQuery, app: &App) -> ApiResult<Options> {
+        let outside = skies::asked_for(&query)?;
+        let atlas = atlas::asked_for(query.layout, query.texels_per_metre, &app.config.limits)?;
+        let (bake, has_target) = (query.bake.unwrap_or(true), query.target.is_some());
+        let target = read_target(&query, app)?;
+        let name = query.name.unwrap_or_else(|| "scene".to_owned());
+        check_name(&name, "name", app.config.limits.name_chars)?;
+        if query.spacing.is_some_and(|spacing| !(spacing.is_finite() && spacing > 0.0)) {
+            return Err(Problem::field(Kind::InvalidQuery, "spacing", "has to be above 0"));
+        }
+        if query.max_albedo.is_some_and(|albedo| !(albedo > 0.0 && albedo <= LARGEST_ALBEDO)) {
+            let reason = format!("has to be above 0 and at most {LARGEST_ALBEDO}");
+            return Err(Problem::field(Kind::InvalidQuery, "max_albedo", reason));
+        }
+        let environment = query.environment.as_deref().map(parse_environment).transpose()?;
+        Ok(Options {
+            name,
+            spacing: query.spacing,
+            mode: query.mode.unwrap_or_default(),
+            environment,
+            outside,
+            unit: query.unit.unwrap_or_default(),
+            max_albedo: query.max_albedo,
+            atlas,
+            layers: query
+                .layers
+                .map_or(Ok(Wanted::Shared), |text| Wanted::parse(&text, app.config.limits.name_chars))?,
+            bake,
+            target: (bake || has_target).then_some(target),
+            priority: query.priority.unwrap_or_default(),
+        })
+    }
+}
+
+/// What the scene is to work towards, however the query says so.
+fn read_target(query: &CreateQuery, app: &App) -> ApiResult<JobBudget> {
+    let apart = Budget {
+        samples_per_element: query.samples_per_element,
+        max_seconds: query.max_seconds,
+        target_rmse: query.target_rmse,
+    };
+    let default_samples = app.config.defaults.bake_samples;
+    let Some(text) = &query.target else { return to_budget(Some(apart), "", default_samples, &app.config) };
+    if apart.samples_per_element.is_some() || apart.max_seconds.is_some() || apart.target_rmse.is_some() {
+        let reason = "comes alone: samples_per_element, max_seconds and target_rmse belong in it";
+        return Err(Problem::field(Kind::InvalidQuery, "target", reason));
+    }
+    let budget = serde_json::from_str::<Budget>(text);
+    let budget =
+        budget.map_err(|error| Problem::field(Kind::InvalidQuery, "target", format!("has to be JSON: {error}")))?;
+    to_budget(Some(budget), "target", default_samples, &app.config)
+}
+
+/// Faults in the query are told as such, whatever checked them.
+pub(super) fn in_query(problem: Problem) -> Problem {
+    problem.with_kind(Kind::InvalidQuery)
+}
+
+fn parse_environment(text: &str) -> ApiResult<[f32; 3]> {
+    let numbers: Option<Vec<f32>> =
+        text.split(',').map(|number| number.trim().parse().ok().filter(|x: &f32| x.is_finite() && *x >= 0.0)).collect();
+    match numbers.as_deref() {
+        Some([r, g, b]) => {
+            check_strength(Some(&[*r, *g, *b]), None, "environment").map_err(in_query)?;
+            Ok([*r, *g, *b])
+        }
+        _ => Err(Problem::field(Kind::InvalidQuery, "environment", "has to be r,g,b, each finite and at least 0")),
+    }
+}
