@@ -15,6 +15,7 @@ mod drag;
 pub mod edit;
 mod estimate;
 pub mod export;
+pub mod filter;
 mod focus;
 mod hash;
 mod importance;
