@@ -91,6 +91,19 @@ pub struct CoreEngine;
 
 impl Engine for CoreEngine {}
 
+/// Bytes per slot that filtering takes for its time.
+pub(crate) const FILTER_BYTES: usize = rebake_core::filter::BYTES_PER_SLOT;
+
+/// A light map whose noise is averaged away where it may be.
+pub(crate) fn filter(
+    world: &World,
+    map: &LightMap,
+    is_known: impl Fn(usize) -> bool + Sync,
+    observer: &dyn Observer,
+) -> Result<LightMap, Canceled> {
+    rebake_core::filter::filter(world, map, is_known, observer)
+}
+
 /// Whether a file begins as a picture of the sky does.
 pub(crate) fn is_sky(file: &[u8]) -> bool {
     scene::is_sky(file)

@@ -14,6 +14,7 @@ pub mod config;
 mod connections;
 pub mod engine;
 mod events;
+mod filter;
 pub mod jobs;
 mod memory;
 mod metrics;
@@ -29,6 +30,7 @@ mod unit;
 pub mod viewer;
 
 pub use config::Config;
+pub use filter::Filter;
 pub use mode::Mode;
 pub use server::{run, run_while};
 pub use store::faults;

@@ -40,7 +40,7 @@ pub enum PictureView {
     Direct,
     /// Reflected indirect light.
     Indirect,
-    /// The light map as it is stored: irradiance / π, without albedo.
+    /// The light map: irradiance / π, without albedo.
     Lightmap,
     /// How the light map changed since a version: blue is less, red more.
     Change,

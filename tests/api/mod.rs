@@ -16,6 +16,7 @@ mod engine;
 mod errors;
 mod events;
 mod faults;
+mod filter;
 mod fuzz;
 mod glb;
 mod history;

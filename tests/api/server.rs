@@ -89,6 +89,8 @@ impl Server {
         let mut config = Config { threads: 2, ..Config::default() };
         // However busy the machine is: uploads are answered with their scenes.
         config.timeouts.upload_answer = Duration::from_secs(600);
+        // Streams that a test leaves open are cut then.
+        config.timeouts.shutdown = Duration::from_secs(1);
         change(&mut config);
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let base = format!("http://{}", listener.local_addr().unwrap());

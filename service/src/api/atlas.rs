@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::extract::{ApiPath, ApiQuery};
+use super::filter::view;
 use super::lightmap::{self, Chosen};
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::PartName;
@@ -19,6 +20,7 @@ use super::versioned::Versioned;
 use super::{Shared, find_scene};
 use crate::config::Limits;
 use crate::engine::{self, Atlas, AtlasError, AtlasOptions, AtlasPicture, World};
+use crate::filter::Filter;
 use crate::pictures::Watch;
 use crate::state::App;
 use crate::store::records::StoredAtlas;
@@ -227,6 +229,9 @@ pub(super) struct PageQuery {
     /// no less than that of the light between them.
     #[param(inline)]
     part: Option<PartName>,
+    /// Whether noise is averaged away where it may be; `statistical` where absent.
+    #[param(inline)]
+    filter: Option<Filter>,
 }
 
 /// A page of the scene's atlas: irradiance / π, linear RGB, read from the elements at the centres of texels and filled
@@ -242,7 +247,8 @@ pub(super) struct PageQuery {
     responses(
         (status = 200, description = "The page", headers(("ETag" = String, description = "The version"),
             ("X-Rebake-Version" = String, description = "Version of the light map"),
-            ("X-Rebake-Exposure" = f32, description = "Stops of a PNG")),
+            ("X-Rebake-Exposure" = f32, description = "Stops of a PNG"),
+            ("X-Rebake-Estimated-Rmse" = f32, description = "Stated error of the light map as it is delivered, where it is known")),
             content((Vec<u8> = "image/x-exr"), (Vec<u8> = "image/png"))),
         (status = 304, description = "The client has this version"),
     )
@@ -255,7 +261,7 @@ pub(super) async fn get_page(
 ) -> ApiResult<Response> {
     let scene = find_scene(&app, &id).await?;
     let published = scene.published();
-    let versioned = Versioned::of_light(&published, &headers, None)?;
+    let mut versioned = Versioned::of_light(&published, &headers, None)?;
     let format = query.format.unwrap_or_default();
     if format == PageFormat::Png && query.precision.is_some() {
         return Err(Problem::field(Kind::InvalidQuery, "precision", "goes with format=exr only"));
@@ -272,6 +278,8 @@ pub(super) async fn get_page(
     if versioned.is_known {
         return Ok(versioned.not_modified());
     }
+    let published = view(&app, &scene.filtered, published, query.filter.unwrap_or(Filter::Statistical)).await?;
+    versioned.state_error(&published)?;
     let bytes = u64::from(pages[index].width) * u64::from(pages[index].height) * BYTES_PER_TEXEL;
     let picture = match format {
         PageFormat::Png => AtlasPicture::Png,

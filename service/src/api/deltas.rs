@@ -17,12 +17,15 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::coding::Coder;
 use super::extract::{ApiPath, ApiQuery, Coding};
+use super::filter::view;
 use super::layers;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::PartName;
 use super::versioned::VERSION;
 use super::{Shared, etag, find_scene};
+use crate::filter::Filter;
 use crate::state::{App, Phase};
+use crate::store::filtered::FilteredLight;
 use crate::store::scene::SceneEntry;
 use crate::store::versions::{Published, Wanted};
 
@@ -54,6 +57,10 @@ pub(super) struct DeltaQuery {
     /// Which part, of all light or of a layer; the scene's mode where absent. Any other comes whole with every version.
     #[param(inline)]
     part: Option<PartName>,
+    /// Whether noise is averaged away where it may be; `none` where absent. `since` is the version of values that were
+    /// filtered alike.
+    #[param(inline)]
+    filter: Option<Filter>,
     /// How values travel; `full` where absent.
     #[param(inline)]
     precision: Option<Precision>,
@@ -118,6 +125,8 @@ struct Sender {
     layer: Option<Arc<str>>,
     /// A part of which no history is kept.
     whole: Option<Wanted>,
+    filter: Filter,
+    filtered: Arc<FilteredLight>,
     follow: bool,
     half: bool,
     waiting: VecDeque<Bytes>,
@@ -142,6 +151,8 @@ impl Sender {
             version: (query.since > 0).then_some(query.since),
             layer: layer.map(Arc::from),
             whole,
+            filter: query.filter.unwrap_or_default(),
+            filtered: scene.filtered.clone(),
             follow: query.follow.unwrap_or(false),
             half: query.precision == Some(Precision::Half),
             waiting: VecDeque::new(),
@@ -186,6 +197,8 @@ impl Sender {
 
     async fn encode(&mut self, mut coder: Coder, published: Arc<Published>) -> io::Result<()> {
         const VALUE_BYTES: usize = 12;
+        let told = |problem: Problem| io::Error::other(problem.to_string());
+        let published = view(&self.app, &self.filtered, published, self.filter).await.map_err(told)?;
         let since = self.version.unwrap_or(0);
         let (version, half, layer, whole) = (published.version, self.half, self.layer.clone(), self.whole);
         let max_values = (self.app.config.limits.frame_bytes / VALUE_BYTES).max(1);

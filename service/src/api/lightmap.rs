@@ -16,6 +16,7 @@ use utoipa::{IntoParams, ToSchema};
 use super::atlas::{BYTES_PER_TEXEL, atlas_of};
 use super::coding::encode_body;
 use super::extract::{ApiPath, ApiQuery, Coding, first_named};
+use super::filter::view;
 use super::layers;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::PartName;
@@ -23,6 +24,7 @@ use super::uploads::memory_problem;
 use super::versioned::Versioned;
 use super::{Shared, find_scene};
 use crate::engine;
+use crate::filter::Filter;
 use crate::pictures::Watch;
 use crate::state::App;
 use crate::store::scene::SceneEntry;
@@ -86,6 +88,9 @@ pub(super) struct LightmapQuery {
     /// Which part, of all light or of a layer; the scene's mode where absent.
     #[param(inline)]
     part: Option<PartName>,
+    /// Whether noise is averaged away where it may be; `statistical` for `glb` and `none` for others where absent.
+    #[param(inline)]
+    filter: Option<Filter>,
 }
 
 /// The whole light map.
@@ -97,7 +102,9 @@ pub(super) struct LightmapQuery {
         ("If-None-Match" = Option<String>, Header, description = "The version that the client has"),
     ),
     responses(
-        (status = 200, description = "The light map", headers(("ETag" = String, description = "The version")),
+        (status = 200, description = "The light map", headers(("ETag" = String, description = "The version"),
+            ("X-Rebake-Version" = String, description = "Version of the light map"),
+            ("X-Rebake-Estimated-Rmse" = f32, description = "Stated error of the light map as it is delivered, where it is known")),
             content((Vec<u8> = "application/vnd.rebake.delta"), (Vec<u8> = "image/x-exr"), (Vec<u8> = "model/gltf-binary"))),
         (status = 304, description = "The client has this version"),
     )
@@ -110,7 +117,7 @@ pub(super) async fn get(
 ) -> ApiResult<Response> {
     let scene = find_scene(&app, &id).await?;
     let published = scene.published();
-    let versioned = Versioned::of_light(&published, &headers, Some("accept, accept-encoding"))?;
+    let mut versioned = Versioned::of_light(&published, &headers, Some("accept, accept-encoding"))?;
     let format = query.format.unwrap_or_else(|| Format::accepted(&headers));
     let chosen = choose(&published, query.layer.as_deref(), query.part)?;
     check_all(&published, &chosen, format)?;
@@ -120,6 +127,9 @@ pub(super) async fn get(
     if versioned.is_known {
         return Ok(versioned.not_modified());
     }
+    let default = if format == Format::Glb { Filter::Statistical } else { Filter::None };
+    let published = view(&app, &scene.filtered, published, query.filter.unwrap_or(default)).await?;
+    versioned.state_error(&published)?;
     let about = versioned.about;
     let coding = Coding::accepted(&headers);
     let default = if published.world.atlas().is_some() { GlbLayout::Atlas } else { GlbLayout::Vertices };
@@ -198,6 +208,9 @@ type Described<'a> = (Cow<'a, [Vec3]>, Vec<(&'static str, String)>);
 /// One value per slot of what was chosen, and what it is; an error where that is all layers, or one that is gone.
 pub(super) fn values<'a>(published: &'a Published, chosen: &Chosen) -> Result<Described<'a>, String> {
     let mut about = vec![("lightMapVersion", published.version.to_string())];
+    if published.is_filtered {
+        about.push(("lightMapFilter", "statistical".to_owned()));
+    }
     let values = match chosen {
         Chosen::All => return Err("several layers have no single values".to_owned()),
         Chosen::Map(wanted) => {

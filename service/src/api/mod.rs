@@ -15,6 +15,7 @@ mod edits;
 mod elements;
 mod events;
 mod extract;
+mod filter;
 mod guard;
 mod health;
 mod history;

@@ -9,11 +9,13 @@ use serde::Deserialize;
 use utoipa::IntoParams;
 
 use super::extract::{ApiPath, ApiQuery};
+use super::filter::view;
 use super::painter::{BOUNDARY, Painter, content_type};
 use super::problem::{ApiResult, Kind, Problem};
 use super::versioned::VERSION;
 use super::{Shared, find_scene};
 use crate::engine::World;
+use crate::filter::Filter;
 use crate::pictures::{
     DEFAULT_SAMPLES, MAX_SAMPLES, MAX_SIDE, MAX_TOTAL_SAMPLES, PictureFormat, PictureSpec, PictureView, ToneMap,
 };
@@ -70,6 +72,10 @@ pub(super) struct RenderQuery {
     /// Send a picture at once and better ones after it, with 1, 4, 16 samples per pixel and so on, as parts of a
     /// `multipart/x-mixed-replace` body; `false` where absent. The last part is what this call answers otherwise.
     progressive: Option<bool>,
+    /// Whether the noise of the light map is averaged away where it may be; `statistical` where absent. Not with `view=change`,
+    /// which shows what is stored.
+    #[param(inline)]
+    filter: Option<Filter>,
 }
 
 /// A picture of the scene as it is lit now: direct light by ray tracing, indirect light from the light map.
@@ -101,6 +107,14 @@ pub(super) async fn get(
         (_, Some(_)) => return Err(invalid("since", "goes with view=change only")),
         (_, None) => None,
     };
+    let filter = match (spec.view, query.filter) {
+        (PictureView::Change, Some(Filter::Statistical)) => {
+            return Err(invalid("filter", "does not go with view=change"));
+        }
+        (PictureView::Change, _) => Filter::None,
+        (_, filter) => filter.unwrap_or(Filter::Statistical),
+    };
+    let published = view(&app, &scene.filtered, published, filter).await?;
     let painter = Painter::new(app, published, before);
     let about = [(VERSION.clone(), painter.version().to_string()), (header::CACHE_CONTROL, "no-store".to_owned())];
     if query.progressive == Some(true) {

@@ -11,6 +11,9 @@ use crate::store::versions::Published;
 /// Header with the light map's version.
 pub(super) static VERSION: HeaderName = HeaderName::from_static("x-rebake-version");
 
+/// Header with the stated error of the light that is delivered.
+static ESTIMATED_RMSE: HeaderName = HeaderName::from_static("x-rebake-estimated-rmse");
+
 /// An answer that is the same until its tag changes.
 pub(super) struct Versioned {
     /// Headers of the answer.
@@ -41,6 +44,15 @@ impl Versioned {
         about.insert(VERSION.clone(), HeaderValue::from(version));
         vary.into_iter().for_each(|names| drop(about.insert(header::VARY, HeaderValue::from_static(names))));
         Ok(Versioned { about, is_known: known.is_some_and(|tags| tags.matches_weakly(&tag.to_string())) })
+    }
+
+    /// States the error of the light that is delivered, where anything is known of it.
+    pub(super) fn state_error(&mut self, published: &Published) -> ApiResult<()> {
+        if let Some(rmse) = published.estimated_rmse {
+            let value = HeaderValue::from_str(&rmse.to_string()).map_err(Problem::internal)?;
+            self.about.insert(ESTIMATED_RMSE.clone(), value);
+        }
+        Ok(())
     }
 
     /// What a client is told that has it.

@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use indicatif::ProgressBar;
-use rebake::Mode;
 use rebake::api::atlas::AtlasDocument;
+use rebake::{Filter, Mode};
 use rebake_core::atlas::AtlasOptions;
 use rebake_core::export::{Precision, lightmap_exr, lightmap_glb, write_page_exr};
 use rebake_core::scene::{LoadLimits, Scene, load_path};
@@ -63,6 +63,9 @@ pub(super) struct BakeArgs {
     /// What to write: all light, or only what has bounced
     #[arg(long, value_enum, default_value_t = Mode::Full)]
     mode: Mode,
+    /// Whether noise is averaged away where it may be [default: statistical for .glb and --atlas, none for .exr]
+    #[arg(long, value_enum)]
+    filter: Option<Filter>,
     #[command(flatten)]
     sky: SkyArgs,
     /// Seed of the random numbers
@@ -144,15 +147,24 @@ fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
     };
     let done = Instant::now();
 
-    let values = world.delivered(&map, args.mode.part());
+    let values = |default: Filter| -> anyhow::Result<_> {
+        let filtered = args.filter.unwrap_or(default).apply(&world, map.clone(), &Unobserved)?;
+        let stated = filtered.estimated_rmse(world.areas());
+        Ok((world.delivered(&filtered, args.mode.part()), stated))
+    };
+    let mut stated = map.estimated_rmse(world.areas());
     let mut written = Vec::new();
     if let Some((mut out, path)) = out.zip(args.output.as_deref()) {
+        let (values, error) = values(if is_glb(path) { Filter::Statistical } else { Filter::None })?;
         let file = if is_glb(path) { lightmap_glb(&world, &values) } else { lightmap_exr(&values) };
+        stated = error;
         out.write(&file.with_context(|| format!("cannot write {}", path.display()))?)?;
         written.push((path, out.finish()?));
     }
     if let Some(directory) = &args.atlas {
+        let (values, error) = values(Filter::Statistical)?;
         written.push((directory, write_atlas(&world, &values, directory)?));
+        stated = error;
     }
 
     let (scene_time, bake_time) = (ready - start, done - ready);
@@ -162,7 +174,7 @@ fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
     line("rays", ui::short(seen.rays as f64))?;
     let times = (scene_time.as_secs_f64(), bake_time.as_secs_f64());
     line("time", format!("{} scene, {} bake", ui::seconds(times.0), ui::seconds(times.1)))?;
-    line("stated error", ui::rmse(f64::from(map.estimated_rmse(world.areas()))))?;
+    line("stated error", ui::rmse(f64::from(stated)))?;
     for (path, bytes) in written {
         line("written", format!("{}, {}", path.display(), ui::bytes(bytes)))?;
     }

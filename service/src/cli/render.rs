@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context;
+use clap::ValueEnum;
 use glam::DVec3;
+use rebake::Filter;
 use rebake::client::Parts;
 use rebake::pictures::{DEFAULT_SAMPLES, PictureSpec, draw};
 use rebake_core::render::{RenderOptions, Viewpoint};
@@ -99,6 +101,9 @@ struct Look {
     /// What the ends of the colour scale stand for (views "change" and "error") [default: by the picture]
     #[arg(long, value_name = "VALUE", value_parser = positive)]
     scale: Option<f64>,
+    /// Whether the noise of the light map is averaged away where it may be [default: statistical, but for view "change"]
+    #[arg(long, value_enum)]
+    filter: Option<Filter>,
 }
 
 /// The API's format for a picture's ending.
@@ -191,6 +196,7 @@ impl RenderArgs {
             ("exposure", look.exposure.map(|x| x.to_string())),
             ("scale", look.scale.map(|x| x.to_string())),
             ("since", self.since.map(|x| x.to_string())),
+            ("filter", look.filter.and_then(|filter| Some(filter.to_possible_value()?.get_name().to_owned()))),
         ];
         query.extend(optional.into_iter().filter_map(|(name, value)| Some((name, value?))));
         Ok(query)
@@ -215,6 +221,7 @@ fn bake_and_draw(args: &RenderArgs) -> anyhow::Result<()> {
     let spec = args.look.spec(&world, &args.output)?;
     let budget = Budget { samples_per_element: args.samples, target_rmse: None };
     let map = rebake_core::bake(&world, &budget, 1, &Unobserved)?;
+    let map = args.look.filter.unwrap_or(Filter::Statistical).apply(&world, map, &Unobserved)?;
     spinner.finish_and_clear();
     let baked = Instant::now();
     let spinner = ui::spinner("render");

@@ -242,17 +242,8 @@ impl Client {
     }
 
     /// The light map as a file: `exr`, `glb` or `raw`.
-    pub async fn lightmap(
-        &self,
-        scene: &str,
-        format: &str,
-        layer: Option<&str>,
-        part: Option<&str>,
-    ) -> Result<Response, ClientError> {
-        let mut query = vec![("format", format.to_owned())];
-        query.extend(layer.map(|layer| ("layer", layer.to_owned())));
-        query.extend(part.map(|part| ("part", part.to_owned())));
-        self.send(self.request(Method::GET, &["v1", "scenes", scene, "lightmap"], &query)?).await
+    pub async fn lightmap(&self, scene: &str, query: &[(&str, String)]) -> Result<Response, ClientError> {
+        self.send(self.request(Method::GET, &["v1", "scenes", scene, "lightmap"], query)?).await
     }
 
     /// Where objects lie in the scene's atlas: an `AtlasDocument` of the API, as JSON.

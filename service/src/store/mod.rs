@@ -8,6 +8,7 @@ pub(crate) mod disk;
 mod drag;
 mod earlier;
 pub mod faults;
+pub(crate) mod filtered;
 pub(crate) mod history;
 pub(crate) mod keys;
 pub(crate) mod layers;

@@ -10,6 +10,7 @@ use super::atlas::MadeAtlas;
 use super::deltas::KeptDeltas;
 use super::drag::Drag;
 use super::earlier::Earlier;
+use super::filtered::FilteredLight;
 use super::history::History;
 use super::keys::IdempotencyKeys;
 use super::lighting::{Lighting, Lit, Samples, Sequence, Unlit, Work};
@@ -40,6 +41,8 @@ pub(crate) struct SceneEntry {
     pub(crate) drag: Drag,
     /// Between versions, for caches.
     pub(crate) deltas: KeptDeltas,
+    /// Its light with less noise, for clients that ask for it.
+    pub(crate) filtered: Arc<FilteredLight>,
     /// Its atlas, where it was uploaded without one.
     pub(crate) made_atlas: MadeAtlas,
     published: watch::Sender<Arc<Published>>,
@@ -116,6 +119,7 @@ impl SceneEntry {
             earlier: Earlier::default(),
             drag: Drag::default(),
             deltas: KeptDeltas::default(),
+            filtered: Arc::default(),
             made_atlas: MadeAtlas::default(),
             published: watch::Sender::new(Arc::new(published)),
             deleted: watch::Sender::new(false),
@@ -181,9 +185,10 @@ impl SceneEntry {
         *self.error.lock().unwrap_or_else(PoisonError::into_inner) = error;
     }
 
-    /// Bytes of what stands beside the world and the map: deltas, the transport of drags, earlier maps.
+    /// Bytes of what stands beside the world and the map: deltas, the transport of drags, earlier maps, filtered light.
     pub(crate) fn aside_bytes(&self, published: &Published) -> usize {
-        self.deltas.memory_bytes() + self.drag.memory_bytes() + self.earlier.memory_bytes(&published.map)
+        let earlier = self.earlier.memory_bytes(&published.map);
+        self.deltas.memory_bytes() + self.drag.memory_bytes() + earlier + self.filtered.memory_bytes()
     }
 
     /// What clients see now.

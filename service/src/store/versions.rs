@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use super::layers::PublishedLayer;
 use super::lighting::Effort;
 use super::records::{LightRecord, LightState};
-use crate::engine::{LightMap, ObjectSummary, VALUE_BYTES, World, layout_hash, objects};
+use crate::engine::{self, Canceled, LightMap, ObjectSummary, Observer, VALUE_BYTES, World, layout_hash, objects};
 use crate::mode::Mode;
 
 /// Versions that are reserved for a scene at once. No version above the reserved ones is ever given, so after a crash
@@ -97,6 +97,8 @@ pub(crate) struct Published {
     /// Per slot: the version that last changed its value.
     pub(crate) changed: Arc<[u64]>,
     lineage: Arc<Lineage>,
+    /// Its noise is averaged away where it may be.
+    pub(crate) is_filtered: bool,
 }
 
 impl Published {
@@ -116,6 +118,7 @@ impl Published {
             layers: Vec::new(),
             changed: vec![0; slots].into(),
             lineage: Arc::default(),
+            is_filtered: false,
         }
     }
 
@@ -149,6 +152,7 @@ impl Published {
             changed,
             lineage: Arc::new(lineage),
             map,
+            is_filtered: false,
         }
     }
 
@@ -209,14 +213,51 @@ impl Published {
             mode: self.mode,
             changed: Arc::default(),
             lineage: self.lineage.clone(),
+            is_filtered: false,
         };
+        next.changed = self.changed_to(&next);
+        next
+    }
+
+    /// Per slot of a later version: the version that last changed its value.
+    fn changed_to(&self, next: &Published) -> Arc<[u64]> {
         let (old, new) = (self.values(), next.values());
         let since = |slot: usize| match old.get(slot) {
             Some(value) if same_bits(*value, new[slot]) => self.changed[slot],
-            _ => version,
+            _ => next.version,
         };
-        next.changed = (0..new.len()).map(since).collect();
-        next
+        (0..new.len()).map(since).collect()
+    }
+
+    /// This version with its noise averaged away where it may be. What changed is told from `last`, the filtered form of
+    /// an earlier version, on.
+    pub(crate) fn filtered(&self, last: Option<&Published>, observer: &dyn Observer) -> Result<Published, Canceled> {
+        let map = match self.estimated_rmse {
+            Some(_) => Arc::new(engine::filter(&self.world, &self.map, |slot| self.is_known_at(slot), observer)?),
+            None => self.map.clone(),
+        };
+        let (version, part, weights) = (self.version, self.mode.part(), self.weights());
+        let oldest = last.map_or(version, |last| last.lineage.oldest).max(self.lineage.oldest);
+        let layers = last.map_or(&[][..], |last| &last.layers);
+        let mut next = Published {
+            version,
+            elements_version: self.elements_version,
+            layers: PublishedLayer::next(layers, &map, &weights, part, version),
+            delivered: self.world.delivered(&map, part),
+            world: self.world.clone(),
+            objects: self.objects.clone(),
+            estimated_rmse: self.estimated_rmse.map(|_| map.estimated_rmse(self.world.areas())),
+            unknown: self.unknown.clone(),
+            mode: self.mode,
+            changed: vec![version; map.len()].into(),
+            lineage: Arc::new(Lineage { oldest, ..(*self.lineage).clone() }),
+            is_filtered: true,
+            map,
+        };
+        if let Some(last) = last {
+            next.changed = last.changed_to(&next);
+        }
+        Ok(next)
     }
 
     /// The objects of the world. The first call takes a moment in large scenes.
@@ -269,8 +310,12 @@ impl Published {
 
     /// Infinite where nothing is known: an estimate, or an element that came after the light was computed.
     fn errors(&self, variance: &[f32]) -> Vec<Vec3> {
-        let is_known = |slot: usize| self.unknown.as_ref().is_none_or(|unknown| !unknown[slot]);
-        self.world.standard_errors(variance, |slot| self.estimated_rmse.is_some() && is_known(slot))
+        self.world.standard_errors(variance, |slot| self.estimated_rmse.is_some() && self.is_known_at(slot))
+    }
+
+    /// Whether an element did not come after its light was computed.
+    fn is_known_at(&self, slot: usize) -> bool {
+        self.unknown.as_ref().is_none_or(|unknown| !unknown[slot])
     }
 
     /// The layer of that name.

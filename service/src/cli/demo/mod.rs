@@ -305,7 +305,7 @@ impl Demo {
     }
 
     async fn save(&self, dir: &Path) -> anyhow::Result<()> {
-        let response = self.client.lightmap(&self.scene, "glb", None, None).await?;
+        let response = self.client.lightmap(&self.scene, &[("format", "glb".to_owned())]).await?;
         let lightmap = rebake::client::read_body(response, usize::MAX).await?;
         std::fs::create_dir_all(dir).with_context(|| format!("cannot create {}", dir.display()))?;
         for (name, bytes) in [("room.glb", &self.room_glb), ("chair.glb", &self.chair_glb), ("lightmap.glb", &lightmap)]

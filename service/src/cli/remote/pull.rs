@@ -8,6 +8,8 @@ use anyhow::Context;
 
 use super::super::ui;
 use super::{ServerArgs, interruptible};
+use clap::ValueEnum;
+use rebake::Filter;
 use rebake::client::Client;
 
 const AFTER_HELP: &str = "\
@@ -48,6 +50,18 @@ pub(in super::super) struct PullArgs {
     /// Which part of all light or of the layer: full, direct, indirect, or error, the standard error of each element
     #[arg(long)]
     part: Option<String>,
+    /// Whether noise is averaged away where it may be [default: as the API says: in .glb and atlases, not in .exr and .rbkd]
+    #[arg(long, value_enum)]
+    filter: Option<Filter>,
+}
+
+impl PullArgs {
+    /// The query of the API's calls for light.
+    fn query(&self) -> Vec<(&'static str, String)> {
+        let filter = self.filter.and_then(|filter| Some(filter.to_possible_value()?.get_name().to_owned()));
+        let given = [("layer", self.layer.clone()), ("part", self.part.clone()), ("filter", filter)];
+        given.into_iter().filter_map(|(name, value)| Some((name, value?))).collect()
+    }
 }
 
 /// The API's format for a file's ending.
@@ -77,7 +91,8 @@ pub(in super::super) async fn pull(args: PullArgs) -> anyhow::Result<()> {
     let output = args.output.as_deref().context("there is no file to write")?;
     let format = format_of(output).context("the file has to end in .glb, .exr or .rbkd")?;
     let work = async {
-        let mut response = client.lightmap(&args.scene, format, args.layer.as_deref(), args.part.as_deref()).await?;
+        let query = [vec![("format", format.to_owned())], args.query()].concat();
+        let mut response = client.lightmap(&args.scene, &query).await?;
         let etag = response.headers().get("etag").and_then(|tag| tag.to_str().ok()).unwrap_or("?");
         let version = etag.trim_start_matches("W/").trim_matches('"').to_owned();
         let spinner = ui::spinner("pull");
@@ -117,9 +132,7 @@ async fn pull_pages(
 ) -> anyhow::Result<Option<u64>> {
     let spinner = ui::spinner("pull");
     let (mut files, mut total) = (Vec::new(), 0);
-    let [layer, part] = [("layer", &args.layer), ("part", &args.part)];
-    let query: Vec<(&str, String)> =
-        [layer, part].into_iter().filter_map(|(name, value)| Some((name, value.clone()?))).collect();
+    let query = args.query();
     for page in 0..atlas["pages"].as_array().map_or(0, Vec::len) {
         let mut response = client.atlas_page(&args.scene, page, &query).await?;
         let version = response.headers().get("x-rebake-version").and_then(|version| version.to_str().ok());
