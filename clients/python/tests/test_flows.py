@@ -167,6 +167,18 @@ def test_following_starts_over_where_its_version_is_unknown() -> None:
     assert snapshot.version == 5 and snapshot.values.tolist() == [[1, 2, 3]] and snapshot.complete
 
 
+def test_old_light_on_new_geometry_states_no_error() -> None:
+    def snapshot_of(version: int, samples: int | None) -> bytes:
+        data = {"scene": "s1", "version": version, "elements_version": 1, "estimated_rmse": 0.5}
+        return event(version, "snapshot", {**data, "samples_per_element": samples})
+
+    pieces: list[list[bytes | Exception]] = [[snapshot_of(1, None) + snapshot_of(2, 4)]]
+    deltas = [Response(200, {}, frame(at, at + 1, [(0, 1)], [1, 2, at])) for at in range(2)]
+    script = Script(Response(200, {}, b""), *deltas, Response(204, {}, b""), pieces=pieces)
+    *snapshots, _ = script.play(Follower(SceneFlows(Patience(), "s1"), rebake.LightMap()).snapshots())
+    assert [(found.version, found.stated_error) for found in snapshots] == [(1, None), (2, 0.5)]
+
+
 def test_both_clients_do_the_same() -> None:
     for blocking, waiting in [
         (rebake.Client, rebake.AsyncClient),

@@ -123,12 +123,14 @@ def test_snapshots_follow_an_edit(scene: Scene) -> None:
     assert np.array_equal(first.values, scene.light_map().values)
     before = first.values.copy()
     job = scene.edit(Move("crate", ASIDE), samples=8)
-    versions = [first.version]
+    versions, errors = [first.version], []
     for snapshot in snapshots:
+        errors.append(snapshot.stated_error)
         assert snapshot.version >= versions[-1] and snapshot.complete <= (snapshot.unlit_edits == 0)
         versions.append(snapshot.version)
         if snapshot.complete:
             break
+    assert errors[-1] == scene.info().estimated_rmse
     assert versions[-1] > first.version and job.info().state == "succeeded"
     now = scene.light_map()
     assert snapshot.version == now.version and np.array_equal(snapshot.values, now.values), "bit for bit a download"

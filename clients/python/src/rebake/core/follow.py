@@ -27,7 +27,8 @@ class Snapshot:
     light_map: LightMap
     #: Elements that have another value than in the snapshot before.
     changed: NDArray[np.intp] = field(default_factory=_nothing)
-    #: Area-weighted RMSE of the map, irradiance / π; none where the service states none.
+    #: Area-weighted RMSE of the map, irradiance / π; none where the service states none, or old light stands on new
+    #: geometry.
     stated_error: float | None = None
     #: No job of the scene waits or runs: nothing better comes by itself.
     complete: bool = False
@@ -70,7 +71,9 @@ class Follower:
         elif event.name == "snapshot" and event.data["version"] > self.light_map.version:
             changed = yield from self._advance(event.data["version"])
             if changed is not None:
-                error, elements = event.data.get("estimated_rmse"), event.data["elements_version"]
+                # Without samples it is old light on new geometry: the service tells the error of before the edit.
+                error = event.data.get("estimated_rmse") if event.data.get("samples_per_element") else None
+                elements = event.data["elements_version"]
                 yield Item(Snapshot(self.light_map, changed, error, elements_version=elements))
 
     def _state(self, is_first: bool) -> Stream[Snapshot]:
