@@ -27,7 +27,7 @@ class Snapshot:
     light_map: LightMap
     #: Elements that have another value than in the snapshot before.
     changed: NDArray[np.intp] = field(default_factory=_nothing)
-    #: Area-weighted RMSE of the map, irradiance / π; none where the service states none, or old light stands on new
+    #: Area-weighted RMSE of the map, irradiance / π; none where the service states none, or old light may stand on new
     #: geometry.
     stated_error: float | None = None
     #: No job of the scene waits or runs: nothing better comes by itself.
@@ -94,7 +94,7 @@ class Follower:
                 Snapshot(
                     self.light_map,
                     changed,
-                    scene.estimated_rmse,
+                    scene.estimated_rmse if scene.unlit_edits == 0 else None,
                     is_complete,
                     scene.elements_version,
                     scene.unlit_edits,
