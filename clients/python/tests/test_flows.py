@@ -151,11 +151,23 @@ def test_waiting_for_a_job_has_an_end() -> None:
     assert len(pieces) == 0 and 90 < len(script.open) < 99
 
 
-def test_following_starts_over_where_its_version_is_unknown() -> None:
-    scene: dict[str, Any] = dict.fromkeys(("spacing", "elements_version", "elements", "live_elements", "triangles"), 0)
-    scene |= dict.fromkeys(("memory_bytes", "accepted_edits", "unlit_edits"), 0)
+def scene_of(**values: Any) -> dict[str, Any]:
+    names = ("spacing", "elements_version", "elements", "live_elements", "triangles", "memory_bytes")
+    scene: dict[str, Any] = dict.fromkeys((*names, "accepted_edits", "unlit_edits"), 0)
     scene |= {name: [] for name in ("objects", "lights", "layers", "cameras", "warnings")}
-    scene |= {"id": "s1", "name": "", "state": "ready", "mode": "full", "version": 5, "created_at": "now"}
+    return (
+        scene | {"id": "s1", "name": "", "state": "ready", "mode": "full", "version": 5, "created_at": "now"} | values
+    )
+
+
+def test_an_upload_is_done_when_the_scene_is_laid_out() -> None:
+    script = Script(*[ok(scene_of(state=state)) for state in ("preparing", "preparing", "ready")])
+    (scene,) = script.play(ServiceFlows().upload(b"glTF", {}))
+    assert scene.state == "ready" and [one.method for one in script.requests] == ["POST", "GET", "GET"]
+
+
+def test_following_starts_over_where_its_version_is_unknown() -> None:
+    scene = scene_of()
     gone = problem(410, "version-forgotten")
     whole = Response(200, {}, frame(0, 5, [(0, 1)], [1, 2, 3]))
     deleted = event(2, "scene", {"scene": "s1", "what": "deleted", "version": 5, "elements_version": 0})

@@ -19,6 +19,8 @@ from .edits import Edit, Redo, Undo, budget_json, edit_json
 from .problems import JobFailed, RebakeError, TransportFailed
 from .sse import Event, EventReader
 from .steps import (
+    FIRST_WAIT,
+    LONGEST_WAIT,
     Close,
     Enough,
     Flow,
@@ -60,13 +62,20 @@ class ServiceFlows:
         return call(Request(method, path, **parts), self.patience, repeatable=method == "GET")
 
     def upload(self, file: File, settings: Upload) -> Flow[models.SceneInfo]:
-        """Uploads a scene: binary glTF, or a zip archive of a `.gltf` with its files. Its bake starts at once."""
+        """Uploads a scene: binary glTF, or a zip archive of a `.gltf` with its files. Its bake starts at once. Answers
+        when the scene is laid out: before, nothing is known of what is in it."""
         data = read_file(file)
         headers = {"content-type": media_type(data)}
         request = Request("POST", "/v1/scenes", upload_query(settings), headers, data)
         # A connection that breaks may have left a scene behind: to send it again would make a second one.
         response = yield from call(request, self.patience, repeatable=False)
-        return decode(models.SceneInfo, response.json())
+        scene = decode(models.SceneInfo, response.json())
+        pause = FIRST_WAIT
+        while scene.state == "preparing":
+            yield Sleep(pause)
+            pause = min(1.5 * pause, LONGEST_WAIT)
+            scene = yield from SceneFlows(self.patience, scene.id).info()
+        return scene
 
     def plan(self, file: File, settings: Upload) -> Flow[models.ScenePlan]:
         """What a file would take with these settings: elements, memory, warnings. Keeps nothing."""
