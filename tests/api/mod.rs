@@ -5,6 +5,7 @@ mod ambient;
 mod assets;
 mod atlas;
 mod browser;
+mod clients;
 mod crash;
 mod dashboard;
 mod deltas;

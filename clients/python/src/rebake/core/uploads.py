@@ -1,0 +1,82 @@
+"""What an upload may say, and what kind of file it is."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypedDict, Union
+
+#: A file by its path, or its bytes.
+File = Union[str, "os.PathLike[str]", bytes]
+
+
+class Upload(TypedDict, total=False):
+    """Settings of a new scene; what is absent the service chooses."""
+
+    #: Name for people.
+    name: str
+    #: Largest distance between neighbouring elements, metres.
+    spacing: float
+    #: `full` or `indirect`.
+    mode: str
+    #: What the scene works towards: samples per element, seconds from the upload, stated error.
+    samples: int
+    max_seconds: float
+    target_rmse: float
+    #: Begin to bake at once; true where absent.
+    bake: bool
+    #: `vertices` or `atlas`, and texels per metre of the latter.
+    layout: str
+    texels_per_metre: float
+    #: `shared`, `each`, or layers by name with their lights.
+    layers: str | Mapping[str, Sequence[str]]
+    #: Radiance from everywhere outside, or a picture of the sky (an asset) with degrees about +y and a factor.
+    environment: Sequence[float]
+    sky: str
+    sky_rotation: float
+    sky_strength: float
+    default_sky: bool
+    #: Discs of directional lights, degrees; unit of point and spot lights, `candela` or `watt`.
+    sun_angle: float
+    unit: str
+    max_albedo: float
+    #: `low`, `normal` or `high`.
+    priority: str
+
+
+def upload_query(settings: Upload) -> dict[str, str]:
+    """The settings as the API's query."""
+    query = {}
+    for name, value in settings.items():
+        query["samples_per_element" if name == "samples" else name] = _text(value)
+    return query
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, Mapping):
+        return json.dumps({name: list(lights) for name, lights in value.items()})
+    if isinstance(value, str):
+        return value
+    if isinstance(value, Sequence):
+        return ",".join(repr(float(one)) for one in value)
+    return str(value)
+
+
+def read_file(file: File) -> bytes:
+    """The bytes of a file. Raises `OSError`."""
+    return file if isinstance(file, bytes) else Path(file).read_bytes()
+
+
+def media_type(data: bytes) -> str:
+    """Content type by the first bytes: a picture of the sky, else binary glTF, which the service checks."""
+    if data.startswith(b"\x76\x2f\x31\x01"):
+        return "image/x-exr"
+    if data.startswith(b"#?"):
+        return "image/vnd.radiance"
+    if data.startswith(b"PK"):
+        return "application/zip"
+    return "model/gltf-binary"
