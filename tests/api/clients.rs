@@ -86,12 +86,15 @@ fn environment() -> Result<(PathBuf, File), String> {
     Ok((python, lock))
 }
 
-/// Runs a command; else why it did not succeed: the last line of what it said.
+/// Runs a command; else why it did not succeed: the last line of what it said, or that `timeout` has ended it.
 fn step(command: &mut Command) -> Result<(), String> {
     let program = command.get_program().to_owned();
     let done = command.output().map_err(|error| format!("{} cannot be run: {error}", program.display()))?;
     if done.status.success() {
         return Ok(());
+    }
+    if done.status.code() == Some(124) {
+        return Err("it took too long".to_owned());
     }
     let said = [done.stdout, done.stderr].concat();
     let said = String::from_utf8_lossy(&said);
