@@ -27,7 +27,8 @@ mkdir -p "$tools" "$pictures"
 if [ -z "${REBAKE_SERVER:-}" ]; then
   binary=${REBAKE_BINARY:-../../target/debug/rebake}
   [ -n "${REBAKE_BINARY:-}" ] || (cd ../.. && cargo build --quiet --package rebake)
-  RUST_LOG=warn "$binary" serve --listen 127.0.0.1:0 >"$work/service.log" 2>&1 &
+  : >"$work/service.log"
+  RUST_LOG=warn "$binary" serve --listen 127.0.0.1:0 >>"$work/service.log" 2>&1 &
   service=$!
   for _ in $(seq 300); do
     REBAKE_SERVER=$(sed -n 's/^listening on //p' "$work/service.log")

@@ -70,24 +70,31 @@ fn environment() -> Result<(PathBuf, File), String> {
     lock.lock().map_err(cannot)?;
     let python = folder.join("bin/python");
     let client = format!("{CLIENTS}/python");
-    let (stamp, wanted) = (folder.join("installed"), std::fs::read(format!("{client}/pyproject.toml")).unwrap());
-    if !std::fs::read(&stamp).is_ok_and(|installed| installed == wanted) {
+    // With the path: what a copy of the folder has installed is the client of somewhere else.
+    let wanted = format!("{client}\n{}", std::fs::read_to_string(format!("{client}/pyproject.toml")).unwrap());
+    let stamp = folder.join("installed");
+    if !std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) {
         tell("Python client test: installing what it needs ...");
         step(Command::new("python3").args(["-m", "venv"]).arg(&folder))?;
-        let install = ["-m", "pip", "install", "--quiet", "--retries", "1", "--timeout", "20", "--editable"];
-        step(Command::new(&python).args(install).arg(format!("{client}[exr,test]")))?;
+        // Not for ever, where the registry is slow.
+        let mut install = Command::new("timeout");
+        install.arg("300").arg(&python).args(["-m", "pip", "install", "--quiet", "--retries", "1", "--timeout", "20"]);
+        step(install.arg("--editable").arg(format!("{client}[exr,test]")))?;
         // Written last: what was installed half-way is not taken for whole.
         std::fs::write(&stamp, wanted).map_err(cannot)?;
     }
     Ok((python, lock))
 }
 
-/// Runs a command; else why it did not succeed: the last line of what it said.
+/// Runs a command; else why it did not succeed: the last line of what it said, or that `timeout` has ended it.
 fn step(command: &mut Command) -> Result<(), String> {
     let program = command.get_program().to_owned();
     let done = command.output().map_err(|error| format!("{} cannot be run: {error}", program.display()))?;
     if done.status.success() {
         return Ok(());
+    }
+    if done.status.code() == Some(124) {
+        return Err("it took too long".to_owned());
     }
     let said = [done.stdout, done.stderr].concat();
     let said = String::from_utf8_lossy(&said);

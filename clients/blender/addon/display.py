@@ -33,8 +33,14 @@ def set_image(pages: Sequence[str]) -> bpy.types.Image:
         left += page.shape[1]
     image.pixels.foreach_set(whole.ravel())
     image.update()
-    image.pack()
     return image
+
+
+def keep() -> None:
+    """Puts the image as it is now into the file, which takes a while for large ones."""
+    image = bpy.data.images.get(IMAGE)
+    if image is not None:
+        image.pack()
 
 
 def _pixels(path: str) -> np.ndarray:
@@ -64,18 +70,27 @@ def place(one: bpy.types.Object, where: AtlasObject, sizes: Sequence[tuple[int, 
             one[name] = value
 
 
-def set_coordinates(mesh: bpy.types.Mesh, coordinates: np.ndarray) -> bool:
-    """Writes the UV map; not over one that somebody else has made."""
+def take_off(one: bpy.types.Object) -> None:
+    """The object is not on the image: materials show it as they were."""
+    for name in (SCALE, OFFSET):
+        if name in one:
+            del one[name]
+
+
+def has_own(mesh: bpy.types.Mesh) -> bool:
+    """Its UV map is somebody else's, and stays as it is."""
+    return UV_MAP in mesh.uv_layers and not mesh.get(MADE)
+
+
+def set_coordinates(mesh: bpy.types.Mesh, coordinates: np.ndarray) -> None:
+    """Writes the UV map."""
     layer = mesh.uv_layers.get(UV_MAP)
-    if layer is not None and not mesh.get(MADE):
-        return False
     if layer is None:
         active = mesh.uv_layers.active_index
         layer = mesh.uv_layers.new(name=UV_MAP, do_init=False)
         mesh.uv_layers.active_index = max(active, 0)
     mesh[MADE] = True
     layer.uv.foreach_set("vector", coordinates.astype(np.float32).ravel())
-    return True
 
 
 def show(material: bpy.types.Material, image: bpy.types.Image) -> None:
@@ -111,7 +126,18 @@ def show(material: bpy.types.Material, image: bpy.types.Image) -> None:
     both = add("ShaderNodeAddShader", 8)
     tree.links.new(sent.outputs[0], both.inputs[0])
     tree.links.new(own.outputs[0], both.inputs[1])
-    tree.links.new(both.outputs[0], surface)
+    # Objects that are not on the image have no place: they are what they were.
+    size = add("ShaderNodeVectorMath", 9, operation="LENGTH")
+    tree.links.new(scale.outputs["Vector"], size.inputs[0])
+    is_there = add("ShaderNodeMath", 10, operation="GREATER_THAN")
+    tree.links.new(size.outputs["Value"], is_there.inputs[0])
+    is_there.inputs[1].default_value = 0
+    either = add("ShaderNodeMixShader", 11)
+    tree.links.new(is_there.outputs[0], either.inputs["Fac"])
+    if link is not None:
+        tree.links.new(link.from_socket, either.inputs[1])
+    tree.links.new(both.outputs[0], either.inputs[2])
+    tree.links.new(either.outputs[0], surface)
 
 
 def hide(material: bpy.types.Material) -> None:

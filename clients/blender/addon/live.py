@@ -8,6 +8,7 @@ from pathlib import Path
 from queue import Empty
 
 import bpy
+import numpy as np
 
 from . import display, send, settings
 from .core.models import AtlasObject, JobInfo
@@ -48,7 +49,13 @@ class Link:
         self.known = Known()
         self.status = Status()
         self.is_ready = False
+        #: The newest light map is shown, but not in the file yet.
+        self.is_unkept = False
         self.places: tuple[AtlasObject, ...] = ()
+        #: Objects, by their names at the service, whose light cannot be shown on them.
+        self.unshown: set[str] = set()
+        #: By mesh: the object whose coordinates it has, and those.
+        self.laid_out: dict[int, tuple[int, np.ndarray]] = {}
         self.first_change: float | None = None
         self.last_change = 0.0
         self.scanner.choose(scene, wanted.only_selected)
@@ -109,6 +116,9 @@ class Link:
     def tick(self) -> None:
         """Takes in what has come, sends what has settled."""
         self._receive()
+        if self.is_unkept and self.status.job is not None and self.status.job.has_ended:
+            display.keep()
+            self.is_unkept = False
         now = time.monotonic()
         is_due = self.first_change is not None and (
             now - self.last_change >= SETTLED or now - self.first_change >= LONGEST
@@ -134,7 +144,8 @@ class Link:
         for one in self.scene.objects if found.inserts else ():
             id = one.get("id")
             if id in found.inserts:
-                assets[id], its_corners = self._export([one])
+                file, its_corners = self._export([one])
+                assets[id] = send.without_place(file)
                 corners[self.known.objects[id]] = its_corners[one.name]
         return assets, corners
 
@@ -178,23 +189,46 @@ class Link:
 
     def _show(self, light: Light) -> None:
         by_name = {self.known.objects.get(str(one.get("id"))): one for one in self._counted()}
-        for name, coordinates in light.coordinates.items():
-            one = by_name.get(name)
-            if one is not None and coordinates is not None and len(coordinates) == len(one.data.loops):
-                display.set_coordinates(one.data, coordinates)
-        self.places = light.atlas.objects
         sizes = [(page.width, page.height) for page in light.atlas.pages]
+        self.places = light.atlas.objects
         for where in light.atlas.objects:
-            if where.object in by_name:
-                display.place(by_name[where.object], where, sizes)
+            one = by_name.get(where.object)
+            if one is None:
+                continue
+            if where.object in light.coordinates and not self._lay_out(one, where, light.coordinates[where.object]):
+                self.unshown.add(where.object)
+                display.take_off(one)
+            elif where.object not in self.unshown:
+                display.place(one, where, sizes)
         image = display.set_image(light.pages)
         _remove(light.pages)
+        self.is_unkept = True
         if self.status.version == 0:
             self.show(True)
         elif any(display.is_shown(material) for material in self._materials()):
             for material in self._materials():
                 display.show(material, image)
         self.status.version, self.status.stated_error = light.version, light.stated_error
+
+    def _lay_out(self, one: bpy.types.Object, where: AtlasObject, coordinates: np.ndarray | None) -> bool:
+        """Sees to it that the UV map of an object holds its coordinates; answers whether it can."""
+        self.unshown.discard(where.object)
+        if one.type != "MESH":
+            return False
+        mesh = one.data
+        if display.has_own(mesh):
+            return where.texcoord == "file"
+        if coordinates is None or len(coordinates) != len(mesh.loops):
+            return False
+        # Instances in other sizes may be laid out otherwise, but have one UV map together.
+        owner, known = self.laid_out.get(mesh.session_uid, (one.session_uid, coordinates))
+        if owner != one.session_uid and not (
+            known.shape == coordinates.shape and np.allclose(known, coordinates, atol=1e-4)
+        ):
+            return False
+        self.laid_out[mesh.session_uid] = owner, coordinates
+        display.set_coordinates(mesh, coordinates)
+        return True
 
     def show(self, on: bool) -> None:
         """Materials show the light map, or what they were."""

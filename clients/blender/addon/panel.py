@@ -124,6 +124,8 @@ def _status(layout: bpy.types.UILayout, link: live.Link) -> None:
     if status.version:
         error = "no error stated" if status.stated_error is None else f"stated error {status.stated_error:.4f}"
         layout.label(text=f"{status.elements} elements, {error}")
+    if link.unshown:
+        layout.label(text=f"Shown without their light: {', '.join(sorted(link.unshown))}", icon="INFO")
     for warning in status.warnings:
         layout.label(text=warning, icon="INFO")
 

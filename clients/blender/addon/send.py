@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import struct
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -64,6 +66,19 @@ def glb(objects: Iterable[bpy.types.Object]) -> bytes:
             export_morph=False,
         )
         return path.read_bytes()
+
+
+def without_place(file: bytes) -> bytes:
+    """The same binary glTF with its nodes at the origin: what is inserted gets its place by the edit."""
+    length = struct.unpack_from("<I", file, 12)[0]
+    document = json.loads(file[20 : 20 + length])
+    for node in document["nodes"]:
+        for name in ("translation", "rotation", "scale", "matrix"):
+            node.pop(name, None)
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    rest = file[20 + length :]
+    return struct.pack("<4sIIII", b"glTF", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A) + text + rest
 
 
 def corners(one: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Corners | None:

@@ -73,12 +73,10 @@ class SceneState:
 
 @dataclass
 class Known:
-    """What the service calls things: names of objects and lights by id. For objects that were inserted from a file of
-    their own, the place that they had in that file."""
+    """What the service calls things: names of objects and lights by id."""
 
     objects: dict[str, str] = field(default_factory=dict)
     lights: dict[str, str] = field(default_factory=dict)
-    bases: dict[str, Rows] = field(default_factory=dict)
 
 
 @dataclass
@@ -123,31 +121,25 @@ def _objects(before: SceneState, after: SceneState, known: Known, found: Changes
     gone = [id for id in known.objects if id not in after.objects or _is_anew(before, after, id)]
     if gone:
         found.edits.append(Remove([known.objects.pop(id) for id in gone]))
-        for id in gone:
-            known.bases.pop(id, None)
     for id, state in after.objects.items():
         old = before.objects.get(id)
         if old is None or id not in known.objects:
             if not state.is_hidden:
                 name = free_name(state.name, known)
-                known.objects[id], known.bases[id] = name, state.matrix
-                found.edits.append(Insert(id, name, np.eye(4)))
+                known.objects[id] = name
+                found.edits.append(Insert(id, name, state.matrix))
                 found.inserts.append(id)
             continue
         name = known.objects[id]
         if old.is_hidden != state.is_hidden:
             found.edits.append(Hide(name) if state.is_hidden else Show(name))
         if not same(old.matrix, state.matrix):
-            found.edits.append(Move(name, _placed(state.matrix, known.bases.get(id))))
+            found.edits.append(Move(name, state.matrix))
 
 
 def _is_anew(before: SceneState, after: SceneState, id: str) -> bool:
     one, other = before.objects[id], after.objects[id]
     return (one.shape, one.materials) != (other.shape, other.materials) and not other.is_hidden
-
-
-def _placed(matrix: Rows, base: Rows | None) -> np.ndarray:
-    return np.array(matrix) if base is None else np.array(matrix) @ np.linalg.pinv(np.array(base))
 
 
 def free_name(name: str, known: Known) -> str:

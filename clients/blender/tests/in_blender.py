@@ -30,7 +30,7 @@ bpy.ops.wm.read_factory_settings(use_empty=True)
 bpy.ops.extensions.package_install_files(filepath=ARCHIVE, repo="user_default", enable_on_install=True)
 display, live = import_module(f"{ADD_ON}.display"), import_module(f"{ADD_ON}.live")
 
-SAMPLES = 256
+SAMPLES = 128
 
 
 def paint(name: str, color: tuple[float, float, float]) -> bpy.types.Material:
@@ -59,6 +59,9 @@ def make_scene() -> None:
     bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=4, radius=0.5, location=(-1, 0.8, 0.7))
     bpy.context.object.name = "ball"
     bpy.context.object.data.materials.append(paint("ball paint", (0.2, 0.5, 0.3)))
+    small = bpy.context.object.copy()
+    small.name, small.location, small.scale = "small ball", (0.3, 1.2, 0.3), (0.6, 0.6, 0.6)
+    bpy.context.collection.objects.link(small)
     bpy.ops.object.light_add(type="POINT", location=(0, 0.2, 2.6))
     bpy.context.object.name = "lamp"
     bpy.context.object.data.energy, bpy.context.object.data.shadow_soft_size = 100, 0
@@ -159,8 +162,10 @@ def compare(when: str) -> None:
     """Light maps of all objects against Cycles'. What half of the texels differ by gives a standard deviation that
     edges of hard shadows, which the map has within its spacing only, do not decide."""
     live.link.show(False)
+    meshes = {one.name for one in bpy.context.scene.objects if one.type == "MESH"}
+    assert {one.name for one in bpy.context.scene.objects if display.SCALE in one} == meshes - live.link.unshown
     mine, stated = ours(), live.link.status.stated_error
-    for one in [one for one in bpy.context.scene.objects if one.type == "MESH"]:
+    for one in [one for one in bpy.context.scene.objects if display.SCALE in one]:
         first, covered = cycles(one, mine.shape, 1)
         second, _ = cycles(one, mine.shape, 2)
         theirs = (first + second) / 2
@@ -247,7 +252,15 @@ def main() -> None:
     start = time.monotonic()
     assert bpy.ops.rebake.bake() == {"FINISHED"}
     print(f"exported in {time.monotonic() - start:.2f} s", flush=True)
-    edit("baked")
+    wait(lambda: live.link.status.version > 0)
+    print(f"first light after {time.monotonic() - start:.2f} s", flush=True)
+    longest = wait(lambda: is_done(0))
+    print(
+        f"baked after {time.monotonic() - start:.2f} s, Blender held up for {1000 * longest:.0f} ms at most", flush=True
+    )
+    assert bpy.data.images[display.IMAGE].packed_file is not None, "the light map is in the file"
+    # It has the mesh of the ball, but needs coordinates of its own.
+    assert live.link.unshown == {"small ball"}
     ids = {one.name: one.get("id") for one in bpy.context.scene.objects}
     bpy.data.objects["crate"].location = (-0.6, -0.9, 0.5)
     edit("crate moved")
@@ -255,6 +268,9 @@ def main() -> None:
     compare_pictures()
     change_everything()
     edit("all kinds of edits")
+    bpy.data.objects["ball 2"].location.z = 1.2
+    edit("what came moved")
+    assert live.link.unshown == {"small ball"}
     assert bpy.data.objects["ball 2"]["id"] not in ids.values(), "a copy has an id of its own"
     compare("all kinds of edits")
     # Sent again the coordinates that were made are the file's own, and the light is the same.
