@@ -18,9 +18,10 @@ const POOL: f32 = 1.6;
 /// What an element's own variance counts in that mean.
 const OWN: f32 = 1.0 / 3.0;
 
-/// Where those that agree by pairs differ by more than so many times their variance, all together, there is more than noise:
-/// light that rises towards a lamp. Weights fall with the square of that.
-const SCATTER: f32 = 2.0;
+/// Where those that agree by pairs differ by more than so many times their variance, all together, there is more than noise,
+/// such as light that rises towards a lamp, and weights fall with the square of that; not where that is so for one of a
+/// pair alone, which is a speck amid others.
+const SCATTER: f32 = 1.5;
 
 /// Elements with those that they take in.
 pub(super) struct Weights {
@@ -83,7 +84,7 @@ impl Weights {
             });
             (SCATTER * sums.1 / sums.0.max(f32::MIN_POSITIVE)).min(1.0).powi(2)
         });
-        weights.scale(|slot, other| trust[slot].min(trust[other]) * world.areas()[other]);
+        weights.scale(|slot, other| trust[slot].max(trust[other]) * world.areas()[other]);
         let areas = world.areas().copy(0..light.len());
         let agreeing =
             weights.each(&areas, |slot, entries| areas[slot] + entries.iter().map(|(_, area)| area).sum::<f32>());
