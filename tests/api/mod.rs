@@ -18,6 +18,7 @@ mod events;
 mod faults;
 mod fuzz;
 mod glb;
+mod gltf_out;
 mod history;
 mod idle;
 mod jobs;

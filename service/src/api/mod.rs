@@ -15,6 +15,7 @@ mod edits;
 mod elements;
 mod events;
 mod extract;
+mod glb;
 mod guard;
 mod health;
 mod history;
