@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rebake_core::scene::{LoadLimits, load};
+use rebake_core::scene::{LoadLimits, Original, load};
 use rebake_core::{World, WorldOptions};
 
 fuzz_target!(|data: &[u8]| {
@@ -20,6 +20,8 @@ fuzz_target!(|data: &[u8]| {
         ..LoadLimits::default()
     };
     if let Ok(scene) = load(data, &limits) {
+        // It can be opened again, to be written back.
+        Original::open(data, &limits).expect("an original");
         let most = WorldOptions { max_elements: 5000, max_triangles: 10_000, ..WorldOptions::default() };
         let options = WorldOptions { spacing: Some(1.0), ..most };
         let _ = World::new(scene, &options);

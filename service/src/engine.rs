@@ -8,11 +8,14 @@ use std::sync::Arc;
 
 use glam::{DMat4, DVec3, Vec3};
 pub(crate) use rebake_core::atlas::{Atlas, AtlasError, AtlasOptions};
-use rebake_core::export::{AtlasAbout, EXR_WIDTH, Precision, write_atlas_glb, write_exr, write_page_exr};
+use rebake_core::export::{EXR_WIDTH, Precision, write_exr, write_lit_glb, write_page_exr};
+pub(crate) use rebake_core::export::{LightAbout, Originals};
+use rebake_core::export::{LightLayout, LitExport};
 pub(crate) use rebake_core::layers::{Layer, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER};
 pub(crate) use rebake_core::object_areas;
 use rebake_core::render::{Picture, ToneMap, auto_exposure};
 pub(crate) use rebake_core::scene::Object;
+use rebake_core::scene::Original;
 use rebake_core::scene::{self, DEFAULT_MAX_ALBEDO, LoadLimits, NodeSource};
 pub use rebake_core::scene::{LoadError, Scene};
 pub(crate) use rebake_core::scene::{Outside, SkyPicture};
@@ -129,15 +132,19 @@ pub(crate) fn load(file: &[u8], limits: &Limits, max_albedo: Option<f32>) -> Res
 
 /// Reads a file that was accepted at some time: whatever the limits of uploads are now, it is there.
 pub(crate) fn load_again(file: &[u8], max_albedo: Option<f32>) -> Result<Scene, LoadError> {
+    load_within(file, &accepted_before(max_albedo))
+}
+
+/// What was accepted once is read again, whatever the limits are now.
+fn accepted_before(max_albedo: Option<f32>) -> LoadLimits {
     let default = LoadLimits::default();
-    let limits = LoadLimits {
+    LoadLimits {
         max_bytes: usize::MAX,
         max_read_bytes: usize::MAX,
         max_triangles: usize::MAX,
         max_albedo: max_albedo.unwrap_or(default.max_albedo),
         ..default
-    };
-    load_within(file, &limits)
+    }
 }
 
 fn load_within(file: &[u8], limits: &LoadLimits) -> Result<Scene, LoadError> {
@@ -328,17 +335,35 @@ pub(crate) fn new_atlas(world: &World, earlier: Option<&Atlas>, max_texels: u64)
     world.new_atlas(earlier, AtlasOptions { texels_per_metre: None, max_texels })
 }
 
-/// Objects with their places in an atlas, and its pages with one value per slot, as binary glTF.
-pub(crate) fn atlas_glb(
-    (world, atlas): (&World, &Atlas),
-    values: &[Vec3],
-    about: &AtlasAbout,
-    observer: &dyn Observer,
-) -> Result<Vec<u8>, String> {
-    let read = |page| read_page(world, atlas, page, values, observer);
-    let pages = (0..atlas.pages().len()).map(read).collect::<Result<Vec<_>, Canceled>>();
-    let pages = pages.map_err(|Canceled| "nobody waits for it".to_owned())?;
-    write_atlas_glb(world, atlas, &pages, about).map_err(|error| error.to_string())
+/// A scene with its light map as binary glTF.
+pub(crate) struct LitScene<'a> {
+    pub(crate) world: &'a World,
+    /// By texel on its pages; by element where absent.
+    pub(crate) atlas: Option<&'a Atlas>,
+    /// One per slot.
+    pub(crate) values: &'a [Vec3],
+    pub(crate) originals: &'a Originals,
+    pub(crate) unlit: bool,
+    pub(crate) about: LightAbout,
+}
+
+/// A scene with its light map, and all that the files have that it was made of, as binary glTF.
+pub(crate) fn lit_glb(scene: &LitScene<'_>, observer: &dyn Observer) -> Result<Vec<u8>, String> {
+    let LitScene { world, values, .. } = *scene;
+    let mut pages = Vec::new();
+    if let Some(atlas) = scene.atlas {
+        let read = |page| read_page(world, atlas, page, values, observer);
+        let read = (0..atlas.pages().len()).map(read).collect::<Result<Vec<_>, Canceled>>();
+        pages = read.map_err(|Canceled| "nobody waits for it".to_owned())?;
+    }
+    let layout = scene.atlas.map_or(LightLayout::Vertices(values), |atlas| LightLayout::Atlas(atlas, &pages));
+    let (originals, unlit, about) = (scene.originals, scene.unlit, scene.about);
+    write_lit_glb(&LitExport { world, originals, layout, unlit, about }).map_err(|error| error.to_string())
+}
+
+/// Opens a file that was read before, to be written back.
+pub(crate) fn open_original(file: &[u8]) -> Result<Original, LoadError> {
+    Original::open(file, &accepted_before(None))
 }
 
 /// As which file a page of an atlas leaves.
@@ -369,11 +394,6 @@ pub(crate) fn atlas_page(
         }
     };
     file.0.map(|bytes| (bytes, file.1)).map_err(|error| error.to_string())
-}
-
-/// The subdivided mesh with the values as vertex colours, as binary glTF.
-pub(crate) fn lightmap_glb(world: &World, values: &[Vec3]) -> Result<Vec<u8>, String> {
-    rebake_core::export::lightmap_glb(world, values).map_err(|error| error.to_string())
 }
 
 /// One object, by its index: its mesh as the file has it, and its elements with their light, as binary glTF.

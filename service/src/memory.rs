@@ -115,7 +115,7 @@ pub(crate) struct NoRoom {
 }
 
 impl App {
-    /// Bytes that all scenes and assets take, with the edits that are accepted and not shown yet.
+    /// Bytes that all scenes and assets take, with the files that are kept in memory and the edits that are accepted and not shown yet.
     pub(crate) fn memory_in_use(&self) -> u64 {
         let of = |scene: &SceneEntry| {
             let published = scene.published();
@@ -123,7 +123,9 @@ impl App {
             let light = published.memory_bytes() + scene.aside_bytes(&published) + scene.made_atlas.memory_bytes();
             world + light as u64 + scene.layers_to_come(&published)
         };
-        self.scenes.all().iter().map(|scene| of(scene)).sum::<u64>() + self.assets.memory_bytes()
+        self.scenes.all().iter().map(|scene| of(scene)).sum::<u64>()
+            + self.assets.memory_bytes()
+            + self.store.memory_bytes()
     }
 
     /// Promises `more` bytes for a scene that takes `present` already.

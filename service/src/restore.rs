@@ -33,7 +33,7 @@ pub(crate) fn restore(app: &Arc<App>, disk: &Disk, saved: Saved) {
     app.scenes.begin_after(saved.newest_scene);
     app.begin_jobs_after(saved.newest_job);
     for id in &saved.assets {
-        if let Err(error) = restore_asset(app, disk, id) {
+        if let Err(error) = restore_asset(app, id) {
             tracing::error!(asset = id, %error, "an asset is lost");
         }
     }
@@ -68,8 +68,8 @@ pub(crate) fn restore(app: &Arc<App>, disk: &Disk, saved: Saved) {
     tracing::info!(scenes, jobs, assets = saved.assets.len(), life = saved.life, "restored");
 }
 
-fn restore_asset(app: &App, disk: &Disk, id: &str) -> Result<(), StoreError> {
-    let file = disk.asset(id)?;
+fn restore_asset(app: &App, id: &str) -> Result<(), StoreError> {
+    let file = app.store.asset(id)?;
     // Scenes need what was acknowledged, whatever the limits are now.
     let content = match engine::is_sky(&file) {
         true => engine::load_sky(&file, usize::MAX).map(|(picture, _)| Content::from(picture)),
@@ -94,7 +94,7 @@ fn restore_scene(app: &App, disk: &Disk, saved: &SavedScene) -> (Arc<SceneEntry>
 fn rebuild(app: &App, disk: &Disk, saved: &SavedScene) -> Result<(SceneEntry, bool), StoreError> {
     note_assets(app, saved);
     let record = saved.record.clone()?;
-    let uploaded = build(app, &disk.upload(saved)?, &record)?;
+    let uploaded = build(app, &disk.upload_of(saved)?, &record)?;
     // Whatever is wrong with the light can be baked again.
     let light = disk.light(saved);
     let mut replayed = replay(app, uploaded, &saved.edits, light.as_ref().ok().and_then(Option::as_ref))?;

@@ -69,7 +69,7 @@ impl App {
     /// The state, and what the data directory holds, to be restored.
     pub(crate) fn new(config: Config) -> Result<(Arc<App>, ToRestore), StartError> {
         let Some(directory) = &config.data_dir else {
-            return Ok((App::with_store(config, Ids::new(), Arc::new(InMemory), 0)?, None));
+            return Ok((App::with_store(config, Ids::new(), Arc::new(InMemory::default()), 0)?, None));
         };
         let disk = Disk::open(directory, config.faults.clone(), config.limits.idempotency_keys)?;
         let saved = disk.load(&Ids::new().suffix)?;

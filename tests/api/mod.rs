@@ -20,6 +20,7 @@ mod faults;
 mod filter;
 mod fuzz;
 mod glb;
+mod gltf_out;
 mod history;
 mod idle;
 mod jobs;

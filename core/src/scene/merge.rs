@@ -34,6 +34,7 @@ pub fn merge_as_object(asset: &Scene, name: &str) -> (Object, Vec<Light>) {
         world_from_object: DMat4::IDENTITY,
         is_hidden: false,
         node: None,
+        asset: asset.asset.clone(),
     };
     let mut names = UniqueNames::default();
     let (mut emissive, mut punctual) = (Vec::new(), Vec::new());

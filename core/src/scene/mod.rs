@@ -13,7 +13,8 @@ mod primitives;
 mod sky;
 mod texture;
 
-pub use self::gltf::{LoadError, LoadLimits, load, load_path};
+pub use self::gltf::{LoadError, LoadLimits, Original, load, load_path, open_original};
+pub(crate) use self::gltf::{OriginalMesh, OriginalNode};
 pub use self::light::{ENVIRONMENT, Light, LightKind};
 pub(crate) use self::look::Passage;
 pub use self::look::{AlphaMode, Look};
@@ -41,10 +42,14 @@ pub struct Scene {
     /// Names of punctual lights whose nodes lie under an object's node in the file (or that came with an inserted
     /// object), with the name of that object.
     pub light_parents: BTreeMap<String, String>,
+    /// Names of the file's punctual lights, with the indices of their nodes there.
+    pub light_nodes: BTreeMap<String, u32>,
     /// Lights of hidden objects, by the name of the object. Their names are taken.
     pub hidden_lights: BTreeMap<String, Vec<HiddenLight>>,
     /// Cameras of the file, in its order.
     pub cameras: Vec<Camera>,
+    /// What the file is found by where it is kept; objects that are inserted from it have it as well ([`Object::asset`]).
+    pub asset: Option<Arc<str>>,
     /// What the file asked for and did not get, in words for a person.
     pub warnings: Vec<String>,
     /// Triangles without an area that were dropped.
@@ -81,6 +86,8 @@ pub struct Object {
     pub is_hidden: bool,
     /// Where it comes from; none for what was inserted or made in code.
     pub node: Option<NodeSource>,
+    /// The file that it was inserted from ([`Scene::asset`]).
+    pub asset: Option<Arc<str>>,
 }
 
 /// The node of the file that an object is.

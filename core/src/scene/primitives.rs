@@ -133,6 +133,7 @@ impl Object {
             world_from_object: DMat4::IDENTITY,
             is_hidden: false,
             node: None,
+            asset: None,
         }
     }
 
@@ -168,8 +169,10 @@ impl Scene {
             objects: objects.into_iter().map(Arc::new).collect(),
             groups: BTreeMap::new(),
             light_parents: BTreeMap::new(),
+            light_nodes: BTreeMap::new(),
             hidden_lights: BTreeMap::new(),
             cameras: Vec::new(),
+            asset: None,
             warnings: Vec::new(),
             degenerate_triangles: 0,
         }

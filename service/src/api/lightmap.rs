@@ -1,33 +1,26 @@
 //! The whole light map as a file.
 
 use std::borrow::Cow;
-use std::sync::Arc;
 
 use axum::extract::State;
 use axum::http::{HeaderMap, header};
 use axum::response::{IntoResponse, Response};
-use bytes::Bytes;
 use glam::Vec3;
 use rebake_core::delta::{self, Frame};
-use rebake_core::export::AtlasAbout;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
-use super::atlas::{BYTES_PER_TEXEL, atlas_of};
 use super::coding::encode_body;
 use super::extract::{ApiPath, ApiQuery, Coding, first_named};
 use super::filter::view;
+use super::glb::{self, GlbLayout};
 use super::layers;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::PartName;
-use super::uploads::memory_problem;
 use super::versioned::Versioned;
 use super::{Shared, find_scene};
 use crate::engine;
 use crate::filter::Filter;
-use crate::pictures::Watch;
-use crate::state::App;
-use crate::store::scene::SceneEntry;
 use crate::store::versions::{Published, Wanted};
 
 /// File formats of a light map.
@@ -36,7 +29,7 @@ use crate::store::versions::{Published, Wanted};
 pub(super) enum Format {
     /// OpenEXR picture, 32-bit float.
     Exr,
-    /// The subdivided mesh, the light map as float `COLOR_0`.
+    /// The scene as glTF, with its light map.
     Glb,
     /// Delta format, from version 0.
     Raw,
@@ -58,16 +51,6 @@ impl Format {
     }
 }
 
-/// How a light map is laid out in glTF.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub(super) enum GlbLayout {
-    /// By element: the subdivided mesh.
-    Vertices,
-    /// By texel: objects as they are, with `TEXCOORD_1` on pages of the atlas.
-    Atlas,
-}
-
 /// What to fetch.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
@@ -76,10 +59,17 @@ pub(super) struct LightmapQuery {
     /// File format; by `Accept`, else `raw`, where absent.
     #[param(inline)]
     format: Option<Format>,
-    /// Of `glb`: `vertices`, or `atlas`, objects with their own triangles, `TEXCOORD_1` on the pages of the atlas, and
-    /// those as 8-bit sRGB pictures over the `gain` of `asset.extras.light_map`. As the scene was uploaded where absent.
+    /// Of `glb`, which has the hierarchy, names, materials, textures, lights and cameras of the files as edits have
+    /// left them. `vertices`: subdivided meshes, the light map times vertex colours as float `COLOR_0`, at most 1;
+    /// where that changes it, as `_LIGHT` too. `atlas`: the meshes as they are, `TEXCOORD_1` on the pages of the
+    /// atlas, and those as `MOZ_lightmap` of the materials: 8-bit sRGB pictures over the `gain` of
+    /// `asset.extras.light_map`. As the scene was uploaded where absent.
     #[param(inline)]
     layout: Option<GlbLayout>,
+    /// Of `glb`: viewers without lights show it. By vertices materials are `KHR_materials_unlit`; by texels those that
+    /// do not shine by themselves have the light map times their mean albedo as their emission, which readers of
+    /// `MOZ_lightmap` do not want. Where absent: `false` by vertices, `true` by texels.
+    unlit: Option<bool>,
     /// `full`, `direct` or `indirect`: that part of all light; the scene's mode where absent. The name of a layer
     /// (between double quotes where it is one of these words): its light at reference strengths. `all`: every layer,
     /// its direct and indirect light apart, in a picture with channels `<layer>.direct.R` and so on.
@@ -124,6 +114,9 @@ pub(super) async fn get(
     if query.layout.is_some() && format != Format::Glb {
         return Err(Problem::field(Kind::InvalidQuery, "layout", "goes with format=glb"));
     }
+    if query.unlit.is_some() && format != Format::Glb {
+        return Err(Problem::field(Kind::InvalidQuery, "unlit", "goes with format=glb"));
+    }
     if versioned.is_known {
         return Ok(versioned.not_modified());
     }
@@ -132,42 +125,17 @@ pub(super) async fn get(
     versioned.state_error(&published)?;
     let about = versioned.about;
     let coding = Coding::accepted(&headers);
-    let default = if published.world.atlas().is_some() { GlbLayout::Atlas } else { GlbLayout::Vertices };
-    if format == Format::Glb && query.layout.unwrap_or(default) == GlbLayout::Atlas {
-        let body = atlas_glb(&app, &scene, published, chosen, coding).await?;
+    if format == Format::Glb {
+        let wish = glb::Wish { layout: query.layout, unlit: query.unlit };
+        let body = glb::glb(&app, &scene, published, (chosen, wish), coding).await?;
         return Ok((about, [(header::CONTENT_TYPE, format.content_type())], coding.headers(), body).into_response());
     }
     let encode = move || {
-        let file = file(&published, format, &chosen)?;
+        let file = file(&published, format == Format::Exr, &chosen)?;
         encode_body(coding, file).map_err(|error| error.to_string())
     };
     let body = app.compute.answer(encode).await?.map_err(Problem::internal)?;
     Ok((about, [(header::CONTENT_TYPE, format.content_type())], coding.headers(), body).into_response())
-}
-
-/// Objects with their places in the atlas, and its pages.
-async fn atlas_glb(
-    app: &Arc<App>,
-    scene: &Arc<SceneEntry>,
-    published: Arc<Published>,
-    chosen: Chosen,
-    coding: Coding,
-) -> ApiResult<Bytes> {
-    let atlas = atlas_of(app, scene, &published).await?;
-    let texels: u64 = atlas.pages().iter().map(|page| u64::from(page.width) * u64::from(page.height)).sum();
-    let (watch, its_app) = (Watch::default(), Arc::clone(app));
-    let _guard = watch.guard();
-    let turn = app.pictures.turns.clone().acquire_owned().await.map_err(Problem::internal)?;
-    let work = move || {
-        let _turn = turn;
-        let promise = its_app.promise_memory(texels * BYTES_PER_TEXEL, 0);
-        let _promise = promise.map_err(|full| memory_problem("file", full))?;
-        let (values, _) = values(&published, &chosen).map_err(Problem::internal)?;
-        let about = AtlasAbout { version: published.version, estimated_rmse: published.estimated_rmse };
-        let file = engine::atlas_glb((&published.world, &atlas), &values, &about, &watch).map_err(Problem::internal)?;
-        encode_body(coding, file).map_err(Problem::internal)
-    };
-    app.compute.draw(work).await?
 }
 
 /// The whole map's part, a layer's, or all layers.
@@ -228,7 +196,8 @@ pub(super) fn values<'a>(published: &'a Published, chosen: &Chosen) -> Result<De
     Ok((values, about))
 }
 
-fn file(published: &Published, format: Format, chosen: &Chosen) -> Result<Vec<u8>, String> {
+/// As a picture, or in the delta format.
+fn file(published: &Published, is_picture: bool, chosen: &Chosen) -> Result<Vec<u8>, String> {
     if matches!(chosen, Chosen::All) {
         let (version, layers) = (published.version.to_string(), layers::to_json(published));
         let about = [("lightMapVersion", version.as_str()), ("lightMapLayers", &layers)];
@@ -236,15 +205,14 @@ fn file(published: &Published, format: Format, chosen: &Chosen) -> Result<Vec<u8
     }
     let (values, about) = values(published, chosen)?;
     let about: Vec<(&str, &str)> = about.iter().map(|(name, text)| (*name, text.as_str())).collect();
-    match format {
-        Format::Exr => engine::lightmap_exr(&values, &about),
-        Format::Glb => engine::lightmap_glb(&published.world, &finite(&values)),
-        Format::Raw => Ok(Frame::whole(&values, published.version).encode()),
+    match is_picture {
+        true => engine::lightmap_exr(&values, &about),
+        false => Ok(Frame::whole(&values, published.version).encode()),
     }
 }
 
 /// glTF holds finite numbers only.
-fn finite(values: &[Vec3]) -> Cow<'_, [Vec3]> {
+pub(super) fn finite(values: &[Vec3]) -> Cow<'_, [Vec3]> {
     match values.iter().all(|value| value.is_finite()) {
         true => values.into(),
         false => values.iter().map(|value| value.min(Vec3::MAX)).collect(),

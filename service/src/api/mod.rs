@@ -16,6 +16,7 @@ mod elements;
 mod events;
 mod extract;
 mod filter;
+mod glb;
 mod guard;
 mod health;
 mod history;

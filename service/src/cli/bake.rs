@@ -11,8 +11,10 @@ use indicatif::ProgressBar;
 use rebake::api::atlas::AtlasDocument;
 use rebake::{Filter, Mode};
 use rebake_core::atlas::AtlasOptions;
-use rebake_core::export::{Precision, lightmap_exr, lightmap_glb, write_page_exr};
-use rebake_core::scene::{LoadLimits, Scene, load_path};
+use rebake_core::export::{
+    LightAbout, LightLayout, LitExport, Originals, Precision, lightmap_exr, write_lit_glb, write_page_exr,
+};
+use rebake_core::scene::{LoadLimits, Scene, load_path, open_original};
 use rebake_core::texels::read_page;
 use rebake_core::{Budget, LightMap, Observer, Progress, Snapshot, Unobserved, World, WorldOptions};
 
@@ -23,8 +25,8 @@ use super::ui;
 use super::values::positive;
 
 const AFTER_HELP: &str = "\
-The ending of the file chooses the format: .glb is the subdivided mesh with the light map as float COLOR_0, .exr the \
-values alone. The first bound that is reached of --samples, --max-seconds and --target-rmse ends the bake; Ctrl-C ends \
+The ending of the file chooses the format: .glb is the scene with the light map as float COLOR_0 of subdivided meshes, \
+.exr the values alone. The first bound that is reached of --samples, --max-seconds and --target-rmse ends the bake; Ctrl-C ends \
 it too and writes what there is by then. Same scene, same options, same seed: same bits, whatever the number of \
 threads, unless time ended it.
   rebake bake room.glb -o room.exr --spacing 0.05 --samples 512
@@ -48,6 +50,9 @@ pub(super) struct BakeArgs {
         required_unless_present = "atlas"
     )]
     output: Option<PathBuf>,
+    /// Of a .glb: materials are unlit, so that viewers without lights show the light map
+    #[arg(long)]
+    unlit: bool,
     /// Directory for the pages of an atlas, as half-float .exr, and atlas.json, which says where every object lies
     #[arg(long, value_name = "DIR")]
     atlas: Option<PathBuf>,
@@ -156,7 +161,10 @@ fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
     let mut written = Vec::new();
     if let Some((mut out, path)) = out.zip(args.output.as_deref()) {
         let (values, error) = values(if is_glb(path) { Filter::Statistical } else { Filter::None })?;
-        let file = if is_glb(path) { lightmap_glb(&world, &values) } else { lightmap_exr(&values) };
+        let file = match is_glb(path) {
+            true => lit_glb(args, &world, &values, error),
+            false => lightmap_exr(&values).map_err(anyhow::Error::from),
+        };
         stated = error;
         out.write(&file.with_context(|| format!("cannot write {}", path.display()))?)?;
         written.push((path, out.finish()?));
@@ -179,6 +187,15 @@ fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
         line("written", format!("{}, {}", path.display(), ui::bytes(bytes)))?;
     }
     if interrupted { Err(Interrupted("; what there was by then is written").into()) } else { Ok(()) }
+}
+
+/// The scene of the file with its light map.
+fn lit_glb(args: &BakeArgs, world: &World, values: &[glam::Vec3], error: f32) -> anyhow::Result<Vec<u8>> {
+    let scene = Some(open_original(&args.file, &LoadLimits::default())?);
+    let originals = Originals { scene, ..Originals::default() };
+    let about = LightAbout { version: None, estimated_rmse: Some(error) };
+    let layout = LightLayout::Vertices(values);
+    Ok(write_lit_glb(&LitExport { world, originals: &originals, layout, unlit: args.unlit, about })?)
 }
 
 /// Writes the pages of a world's atlas and where objects lie on them; answers how many bytes that is.

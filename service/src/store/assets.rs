@@ -26,6 +26,18 @@ impl Content {
     }
 }
 
+impl Content {
+    /// Objects that are inserted from it tell where they come from.
+    fn named(self, id: &str) -> Content {
+        match self {
+            Content::Model(scene) => {
+                Content::Model(Arc::new(Scene { asset: Some(id.into()), ..Arc::unwrap_or_clone(scene) }))
+            }
+            picture => picture,
+        }
+    }
+}
+
 impl From<Scene> for Content {
     fn from(scene: Scene) -> Content {
         Content::Model(Arc::new(scene))
@@ -128,7 +140,7 @@ impl Assets {
 
     /// Keeps an asset of `bytes` uploaded bytes, whatever room there is. True where it is new.
     pub(crate) fn insert(&self, id: String, content: impl Into<Content>, bytes: usize) -> bool {
-        let content = content.into();
+        let content = content.into().named(&id);
         let memory_bytes = content.memory_bytes();
         let mut held = self.write();
         if held.by_hash.contains_key(&id) {

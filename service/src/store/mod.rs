@@ -18,8 +18,12 @@ pub(crate) mod scene;
 pub(crate) mod scenes;
 pub(crate) mod versions;
 
+use std::collections::HashMap;
 use std::fmt::{Debug, Display};
 use std::io;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use bytes::Bytes;
 
 use crate::jobs::queue::{JobNumber, SceneNumber};
 use records::{Accepted, JobRecord, LightRecord, SceneChange, SceneRecord};
@@ -57,6 +61,14 @@ impl From<io::Error> for StoreError {
 pub(crate) trait Store: Send + Sync + Debug {
     /// Whether anything is kept at all.
     fn is_durable(&self) -> bool;
+    /// The file that a scene was made of, as it was uploaded.
+    fn upload(&self, scene: SceneNumber) -> Result<Bytes, StoreError>;
+    /// The file that an asset is.
+    fn asset(&self, id: &str) -> Result<Bytes, StoreError>;
+    /// Bytes of memory that what is kept takes.
+    fn memory_bytes(&self) -> u64 {
+        0
+    }
     /// Nothing is written from here on; another process may have what is kept.
     fn close(&self);
     /// A scene, with the job that bakes it.
@@ -83,24 +95,65 @@ pub(crate) trait Store: Send + Sync + Debug {
     fn versions_reserved(&self, scene: SceneNumber, version: u64) -> Result<(), StoreError>;
 }
 
-/// Keeps nothing: all state is gone with the process.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct InMemory;
+/// Keeps files in memory, which exports copy from, and nothing else: all state is gone with the process.
+#[derive(Debug, Default)]
+pub(crate) struct InMemory {
+    files: Mutex<Files>,
+}
+
+#[derive(Debug, Default)]
+struct Files {
+    uploads: HashMap<SceneNumber, Bytes>,
+    assets: HashMap<String, Bytes>,
+    bytes: u64,
+}
+
+impl InMemory {
+    fn files(&self) -> MutexGuard<'_, Files> {
+        self.files.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Files {
+    /// Counts what has come for what has gone.
+    fn count(&mut self, come: usize, gone: Option<Bytes>) {
+        self.bytes = self.bytes + come as u64 - gone.map_or(0, |gone| gone.len() as u64);
+    }
+}
+
+fn file_gone() -> StoreError {
+    StoreError::damaged("the file is not kept any more", "it was deleted meanwhile")
+}
 
 impl Store for InMemory {
     fn is_durable(&self) -> bool {
         false
     }
 
+    fn upload(&self, scene: SceneNumber) -> Result<Bytes, StoreError> {
+        self.files().uploads.get(&scene).cloned().ok_or_else(file_gone)
+    }
+
+    fn asset(&self, id: &str) -> Result<Bytes, StoreError> {
+        self.files().assets.get(id).cloned().ok_or_else(file_gone)
+    }
+
+    fn memory_bytes(&self) -> u64 {
+        self.files().bytes
+    }
+
     fn close(&self) {}
 
     fn scene_created(
         &self,
-        _number: SceneNumber,
+        number: SceneNumber,
         _scene: &SceneRecord,
-        _glb: &[u8],
+        glb: &[u8],
         _bake: Option<&JobRecord>,
     ) -> Result<(), StoreError> {
+        let mut files = self.files();
+        let gone = files.uploads.insert(number, Bytes::copy_from_slice(glb));
+        files.count(glb.len(), gone);
         Ok(())
     }
 
@@ -108,15 +161,24 @@ impl Store for InMemory {
         Ok(())
     }
 
-    fn scene_deleted(&self, _number: SceneNumber) -> Result<(), StoreError> {
+    fn scene_deleted(&self, number: SceneNumber) -> Result<(), StoreError> {
+        let mut files = self.files();
+        let gone = files.uploads.remove(&number);
+        files.count(0, gone);
         Ok(())
     }
 
-    fn asset_added(&self, _id: &str, _glb: &[u8]) -> Result<(), StoreError> {
+    fn asset_added(&self, id: &str, glb: &[u8]) -> Result<(), StoreError> {
+        let mut files = self.files();
+        let gone = files.assets.insert(id.to_owned(), Bytes::copy_from_slice(glb));
+        files.count(glb.len(), gone);
         Ok(())
     }
 
-    fn asset_deleted(&self, _id: &str) -> Result<(), StoreError> {
+    fn asset_deleted(&self, id: &str) -> Result<(), StoreError> {
+        let mut files = self.files();
+        let gone = files.assets.remove(id);
+        files.count(0, gone);
         Ok(())
     }
 

@@ -1,9 +1,9 @@
 //! Puts a binary glTF together: data into the binary chunk, JSON from small pieces.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use ::gltf::json::{Value, serialize};
-use glam::{Vec2, Vec3};
+use glam::{Vec2, Vec3, Vec4};
 
 use crate::export::ExportError;
 
@@ -38,10 +38,10 @@ pub(super) struct Document {
     pub(super) cameras: Vec<Value>,
     pub(super) lights: Vec<Value>,
     images: Vec<Value>,
-    textures: Vec<Value>,
-    /// Of the asset.
-    pub(super) extras: Option<Value>,
-    pub(super) has_emissive_strength: bool,
+    pub(super) textures: Vec<Value>,
+    pub(super) samplers: Vec<Value>,
+    /// Of the asset, beside what every file says.
+    pub(super) asset: Vec<(&'static str, Value)>,
     /// Name and numbers of a material (as bits), and whether it is double-sided, to its index.
     pub(super) material_indices: BTreeMap<(String, [u32; 8], bool), Value>,
 }
@@ -66,26 +66,32 @@ impl Document {
 
     /// A vertex attribute of `f32` pairs.
     pub(super) fn add_vec2(&mut self, values: &[Vec2]) -> Value {
-        let view = self.add_view(ARRAY_BUFFER, values.iter().flat_map(|value| value.to_array()).map(f32::to_le_bytes));
-        let accessor = [
-            ("bufferView", view),
-            ("componentType", FLOAT.into()),
-            ("count", values.len().into()),
-            ("type", "VEC2".into()),
-        ];
+        let numbers = values.iter().flat_map(|value| value.to_array());
+        self.add_floats(numbers, values.len(), "VEC2")
+    }
+
+    /// A vertex attribute of four `f32`.
+    pub(super) fn add_vec4(&mut self, values: &[Vec4]) -> Value {
+        let numbers = values.iter().flat_map(|value| value.to_array());
+        self.add_floats(numbers, values.len(), "VEC4")
+    }
+
+    fn add_floats(&mut self, numbers: impl Iterator<Item = f32>, count: usize, kind: &str) -> Value {
+        let view = self.add_view(ARRAY_BUFFER, numbers.map(f32::to_le_bytes));
+        let accessor =
+            [("bufferView", view), ("componentType", FLOAT.into()), ("count", count.into()), ("type", kind.into())];
         push(&mut self.accessors, object(accessor))
     }
 
-    /// A PNG file as an image, and a texture of it that ends at its edges.
-    pub(super) fn add_picture(&mut self, name: &str, png: &[u8]) {
+    /// A picture file as an image.
+    pub(super) fn add_image(&mut self, name: Option<&str>, media_type: &str, bytes: &[u8]) -> Value {
         let start = self.bin.len();
-        self.bin.extend(png);
-        let view = [("buffer", 0.into()), ("byteOffset", start.into()), ("byteLength", png.len().into())];
+        self.bin.extend(bytes);
+        let view = [("buffer", 0.into()), ("byteOffset", start.into()), ("byteLength", bytes.len().into())];
         let view = push(&mut self.views, object(view));
         self.bin.resize(self.bin.len().next_multiple_of(4), 0);
-        let image = [("name", name.into()), ("bufferView", view), ("mimeType", "image/png".into())];
-        let source = push(&mut self.images, object(image));
-        self.textures.push(object([("source", source), ("sampler", 0.into())]));
+        let image = [("bufferView", view), ("mimeType", media_type.into())];
+        push(&mut self.images, object(image.into_iter().chain(name.map(|name| ("name", name.into())))))
     }
 
     /// Triangle indices.
@@ -138,24 +144,19 @@ impl Document {
 
     fn into_json(self, bin_bytes: usize) -> Value {
         let mut asset = vec![("version", "2.0".into()), ("generator", "rebake".into())];
-        asset.extend(self.extras.map(|extras| ("extras", extras)));
+        asset.extend(self.asset);
         let asset = object(asset);
-        // Linear, clamped to the edge.
-        let clamp = [("magFilter", 9729), ("minFilter", 9729), ("wrapS", 33071), ("wrapT", 33071)];
-        let sampler = object(clamp.map(|(name, value)| (name, value.into())));
-        let samplers = if self.textures.is_empty() { Vec::new() } else { vec![sampler] };
+        let mut extensions = BTreeSet::new();
+        let lists = [&self.nodes, &self.materials, &self.textures];
+        lists.into_iter().flatten().for_each(|value| named_extensions(value, &mut extensions));
+        let required = required_extensions(&self.textures);
         let scenes = match self.scenes.is_empty() {
             false => self.scenes,
             true if self.nodes.is_empty() => vec![object([])],
             true => vec![object([("nodes", (0..self.nodes.len()).collect::<Vec<usize>>().into())])],
         };
         let mut entries = vec![("asset", asset), ("scene", 0.into()), ("scenes", scenes.into())];
-        let mut extensions = Vec::new();
-        if self.has_emissive_strength {
-            extensions.push("KHR_materials_emissive_strength");
-        }
         if !self.lights.is_empty() {
-            extensions.push("KHR_lights_punctual");
             let lights = object([("lights", self.lights.into())]);
             entries.push(("extensions", object([("KHR_lights_punctual", lights)])));
         }
@@ -170,16 +171,44 @@ impl Document {
             ("cameras", self.cameras),
             ("images", self.images),
             ("textures", self.textures),
-            ("samplers", samplers),
+            ("samplers", self.samplers),
             ("accessors", self.accessors),
             ("bufferViews", self.views),
         ];
         entries.extend(lists.into_iter().filter(|(_, list)| !list.is_empty()).map(|(key, list)| (key, list.into())));
         if !extensions.is_empty() {
-            entries.push(("extensionsUsed", extensions.into()));
+            entries.push(("extensionsUsed", extensions.into_iter().collect()));
+        }
+        if !required.is_empty() {
+            entries.push(("extensionsRequired", required.into_iter().collect()));
         }
         object(entries)
     }
+}
+
+/// Names of the extensions anywhere in a value; what is said in `extras` is not ours.
+fn named_extensions(value: &Value, found: &mut BTreeSet<String>) {
+    match value {
+        Value::Object(entries) => {
+            for (key, value) in entries.iter().filter(|(key, _)| *key != "extras") {
+                if let Value::Object(extensions) = value
+                    && key == "extensions"
+                {
+                    found.extend(extensions.keys().cloned());
+                }
+                named_extensions(value, found);
+            }
+        }
+        Value::Array(list) => list.iter().for_each(|value| named_extensions(value, found)),
+        _ => {}
+    }
+}
+
+/// Those without which some texture has no picture.
+fn required_extensions(textures: &[Value]) -> BTreeSet<String> {
+    let alone = textures.iter().filter(|texture| texture.get("source").is_none());
+    let names = alone.filter_map(|texture| texture.get("extensions")?.as_object());
+    names.flat_map(|extensions| extensions.keys().cloned()).collect()
 }
 
 /// Appends; answers the index as JSON.

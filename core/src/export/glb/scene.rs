@@ -8,8 +8,12 @@ use glam::{DMat4, DQuat, DVec3, Vec2, Vec3};
 use super::container::{Document, numbers, object, push};
 use super::{add_material, emission_parts};
 use crate::export::ExportError;
-use crate::scene::{Light, LightKind, Object, Scene};
+use crate::scene::{Camera, Light, LightKind, Object, Scene};
 
+/// Part of a spot's outer angle that its inner one is at most: the format wants it below.
+const LARGEST_INNER: f32 = 0.9999;
+/// The largest `f32` that is not above π/2.
+const LARGEST_OUTER: f32 = std::f32::consts::FRAC_PI_2.next_down();
 /// Distance of the near plane that a glTF camera must state, metres. rebake's cameras have none.
 const CAMERA_NEAR: f32 = 0.01;
 
@@ -38,14 +42,19 @@ pub fn write_scene_glb(scene: &Scene) -> Result<Vec<u8>, ExportError> {
         add_punctual(&mut document, light)?;
     }
     for camera in &scene.cameras {
-        let perspective = object([("yfov", camera.fov_y.into()), ("znear", CAMERA_NEAR.into())]);
-        let json = object([("type", "perspective".into()), ("perspective", perspective)]);
-        let index = push(&mut document.cameras, json);
-        let matrix = transform(camera.world_from_camera, &camera.name)?;
-        let node = [("name", camera.name.as_str().into()), ("camera", index)].into_iter().chain(matrix);
-        document.nodes.push(object(node));
+        add_camera(&mut document, camera)?;
     }
     document.finish()
+}
+
+/// A camera with its node.
+pub(super) fn add_camera(document: &mut Document, camera: &Camera) -> Result<Value, ExportError> {
+    let perspective = object([("yfov", camera.fov_y.into()), ("znear", CAMERA_NEAR.into())]);
+    let json = object([("type", "perspective".into()), ("perspective", perspective)]);
+    let index = push(&mut document.cameras, json);
+    let matrix = transform(camera.world_from_camera, &camera.name)?;
+    let node = [("name", camera.name.as_str().into()), ("camera", index)].into_iter().chain(matrix);
+    Ok(push(&mut document.nodes, object(node)))
 }
 
 /// A primitive per material, and apart from it one for its flat triangles (those without normals). An object without
@@ -118,16 +127,27 @@ fn add_texcoords(document: &mut Document, sets: &[Vec<Vec2>; 2], vertices: usize
 }
 
 /// Colour and intensity, kept apart as they are where the colour is a valid factor.
-fn light_parts(color: Vec3, intensity: f32) -> (Vec3, f32) {
+pub(super) fn light_parts(color: Vec3, intensity: f32) -> (Vec3, f32) {
     if color.max_element() <= 1.0 { (color, intensity) } else { emission_parts(color * intensity) }
 }
 
 fn add_punctual(document: &mut Document, light: &Light) -> Result<(), ExportError> {
-    let (kind, position, direction, range) = match &light.kind {
-        LightKind::Emissive { .. } | LightKind::Environment | LightKind::Sky { .. } => return Ok(()),
-        LightKind::Point { position, range } => ("point", *position, Vec3::NEG_Z, *range),
-        LightKind::Spot { position, direction, range, .. } => ("spot", *position, *direction, *range),
-        LightKind::Directional { direction, .. } => ("directional", DVec3::ZERO, *direction, None),
+    let (Some(json), Some(frame)) = (light_json(light), frame_of(light)) else { return Ok(()) };
+    let index = push(&mut document.lights, json);
+    let matrix = transform(frame, &light.name)?;
+    let extension = object([("KHR_lights_punctual", object([("light", index)]))]);
+    let node = [("name", light.name.as_str().into()), ("extensions", extension)].into_iter().chain(matrix);
+    document.nodes.push(object(node));
+    Ok(())
+}
+
+/// What `KHR_lights_punctual` says of a light; none for others.
+pub(super) fn light_json(light: &Light) -> Option<Value> {
+    let (kind, range) = match &light.kind {
+        LightKind::Emissive { .. } | LightKind::Environment | LightKind::Sky { .. } => return None,
+        LightKind::Point { range, .. } => ("point", *range),
+        LightKind::Spot { range, .. } => ("spot", *range),
+        LightKind::Directional { .. } => ("directional", None),
     };
     // As for emissive factors, the parts of a colour are at most 1.
     let (color, intensity) = light_parts(light.color, light.intensity);
@@ -141,16 +161,23 @@ fn add_punctual(document: &mut Document, light: &Light) -> Result<(), ExportErro
         json.push(("range", range.into()));
     }
     if let LightKind::Spot { inner_cone_angle, outer_cone_angle, .. } = light.kind {
-        let cone = [("innerConeAngle", inner_cone_angle.into()), ("outerConeAngle", outer_cone_angle.into())];
-        json.push(("spot", object(cone)));
+        let outer = outer_cone_angle.min(LARGEST_OUTER);
+        let inner = inner_cone_angle.min(outer * LARGEST_INNER);
+        json.push(("spot", object([("innerConeAngle", inner.into()), ("outerConeAngle", outer.into())])));
     }
-    let index = push(&mut document.lights, object(json));
+    Some(object(json))
+}
+
+/// Where the node of a light stands, and how it is turned; none for lights that have no node.
+pub(super) fn frame_of(light: &Light) -> Option<DMat4> {
+    let (position, direction) = match &light.kind {
+        LightKind::Emissive { .. } | LightKind::Environment | LightKind::Sky { .. } => return None,
+        LightKind::Point { position, .. } => (*position, Vec3::NEG_Z),
+        LightKind::Spot { position, direction, .. } => (*position, *direction),
+        LightKind::Directional { direction, .. } => (DVec3::ZERO, *direction),
+    };
     let rotation = DQuat::from_rotation_arc(DVec3::NEG_Z, direction.as_dvec3().normalize_or(DVec3::NEG_Z));
-    let matrix = transform(DMat4::from_rotation_translation(rotation, position), &light.name)?;
-    let extension = object([("KHR_lights_punctual", object([("light", index)]))]);
-    let node = [("name", light.name.as_str().into()), ("extensions", extension)].into_iter().chain(matrix);
-    document.nodes.push(object(node));
-    Ok(())
+    Some(DMat4::from_rotation_translation(rotation, position))
 }
 
 /// The `matrix` of a node; none where it is the identity.

@@ -97,6 +97,12 @@ pub(super) fn open<'a>(bytes: &'a [u8], files: &'a Files<'a>, limits: &LoadLimit
     Ok(File { root, more, has_animations, buffers, decompressed, files, unpacked, read })
 }
 
+/// The JSON of a file, without a byte order mark.
+pub(super) fn text(bytes: &[u8]) -> Result<&[u8], LoadError> {
+    let text = if bytes.starts_with(b"glTF") { split(bytes)?.0 } else { bare(bytes)? };
+    Ok(text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(text))
+}
+
 /// The document of a `.gltf`.
 fn bare(bytes: &[u8]) -> Result<&[u8], LoadError> {
     let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);

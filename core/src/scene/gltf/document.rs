@@ -37,7 +37,8 @@ pub(super) fn parse(text: &[u8], limits: &LoadLimits) -> Result<Document, LoadEr
     Ok(Document { root, more: read(text)?, has_animations })
 }
 
-fn read<'t, T: Deserialize<'t>>(text: &'t [u8]) -> Result<T, LoadError> {
+/// What `T` wants of a document.
+pub(super) fn read<'t, T: Deserialize<'t>>(text: &'t [u8]) -> Result<T, LoadError> {
     serde_json::from_slice(text).map_err(|error| not_gltf(&error))
 }
 

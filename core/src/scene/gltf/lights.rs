@@ -16,10 +16,11 @@ use crate::scene::{ENVIRONMENT, Light, LightKind};
 /// Largest strength: as edits have it.
 const MAX_STRENGTH: f32 = 1e12;
 
-/// Lights, and of those under an object's node: their names with that object's.
+/// Lights, and of those under an object's node: their names with that object's. Of punctual ones the nodes, by index.
 pub(super) struct Lights {
     pub(super) lights: Vec<Light>,
     pub(super) parents: BTreeMap<String, String>,
+    pub(super) nodes: BTreeMap<String, u32>,
 }
 
 /// Emissive lights in the order of the objects, then punctual ones in the order of the nodes. Names are unique.
@@ -33,7 +34,7 @@ pub(super) fn collect(
     let mut names = UniqueNames::default();
     names.claim(ENVIRONMENT);
     let mut lights = emissive(objects, &mut names);
-    let mut parents = BTreeMap::new();
+    let (mut parents, mut light_nodes) = (BTreeMap::new(), BTreeMap::new());
     // The first of several instances stands for its node.
     let mut object_of: BTreeMap<usize, &str> = BTreeMap::new();
     for loaded in objects {
@@ -49,12 +50,13 @@ pub(super) fn collect(
         if let Some(object) = node.object.and_then(|object| object_of.get(&object)) {
             parents.insert(name.clone(), (*object).to_owned());
         }
+        light_nodes.insert(name.clone(), node.index as u32);
         lights.push(read_punctual(light, name, node, &place, warnings)?);
     }
     if lights.len() > limits.max_lights {
         return Err(too_large("lights", limits.max_lights));
     }
-    Ok(Lights { lights, parents })
+    Ok(Lights { lights, parents, nodes: light_nodes })
 }
 
 /// A light per object and emissive material: the object's name, further ones `name/2`, `name/3`, ….

@@ -15,6 +15,8 @@ use crate::scene::{AlphaMode, AlphaUse, Look, Material, TextureUse};
 /// A material, what of it varies, and how its emission splits into the two numbers of a light.
 #[derive(Clone, Debug)]
 pub(super) struct LoadedMaterial {
+    /// Index in the file; none for the specification's default.
+    pub(super) index: Option<usize>,
     /// Its name; empty where it has none.
     pub(super) name: Arc<str>,
     /// What the engine sees.
@@ -85,7 +87,15 @@ impl LoadedMaterial {
 
 impl<'f> Materials<'f> {
     pub(super) fn new(file: &'f File<'f>, limits: &LoadLimits) -> Self {
-        let textures = Textures::new(file, limits);
+        Self::with(file, limits, Textures::new(file, limits))
+    }
+
+    /// Without decoding a picture: colours that pictures decide are not right, the rest is.
+    pub(super) fn undecoded(file: &'f File<'f>, limits: &LoadLimits) -> Self {
+        Self::with(file, limits, Textures::undecoded(file, limits))
+    }
+
+    fn with(file: &'f File<'f>, limits: &LoadLimits, textures: Textures<'f>) -> Self {
         let read = vec![None; file.root.materials.len()];
         Self { file, textures, max_albedo: limits.max_albedo, has_vertex_alpha: vertex_alpha(&file.root), read }
     }
@@ -100,6 +110,7 @@ impl<'f> Materials<'f> {
             warnings.add("primitives without a material are white", "");
             let albedo = self.checked(Vec3::ONE, "those without a material", warnings);
             return Ok(LoadedMaterial {
+                index: None,
                 name: "".into(),
                 material: Material::diffuse(albedo),
                 look: None,
@@ -151,7 +162,16 @@ impl<'f> Materials<'f> {
         let emission = color * intensity;
         let material = Material { albedo, emission, double_sided: json.double_sided };
         let name = json.name.as_deref().unwrap_or_default().into();
-        Ok(LoadedMaterial { name, material, look, emission_color: color, emission_intensity: intensity, is_clear })
+        let index = Some(index);
+        Ok(LoadedMaterial {
+            index,
+            name,
+            material,
+            look,
+            emission_color: color,
+            emission_intensity: intensity,
+            is_clear,
+        })
     }
 
     /// Base colour and alpha.

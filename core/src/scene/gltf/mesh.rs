@@ -24,12 +24,16 @@ pub(super) struct LoadedMesh {
     /// Indexed by [`Mesh::triangle_materials`].
     pub(super) materials: Vec<LoadedMaterial>,
     pub(super) degenerate_triangles: usize,
+    /// What lets all light through and is no surface for it; only where meshes are read whole.
+    pub(super) clear: Option<Box<LoadedMesh>>,
 }
 
 /// Meshes of a file, read when a node first uses them.
 #[derive(Debug)]
 pub(super) struct Meshes<'f> {
     file: &'f File<'f>,
+    /// Also what light does not need.
+    is_whole: bool,
     read: Vec<Option<Arc<LoadedMesh>>>,
     max_triangles: usize,
     vertices_left: usize,
@@ -53,12 +57,19 @@ impl<'f> Meshes<'f> {
     pub(super) fn new(file: &'f File<'f>, limits: &LoadLimits) -> Self {
         Self {
             file,
+            is_whole: false,
             read: vec![None; file.root.meshes.len()],
             max_triangles: limits.max_triangles,
             // Vertex indices are 32 bits wide.
             vertices_left: limits.max_vertices.min(u32::MAX as usize),
             max_vertices: limits.max_vertices,
         }
+    }
+
+    /// Meshes with all texture coordinates of the first two sets and with what lets all light through. Triangles that
+    /// light meets are the same, in the same order.
+    pub(super) fn whole(file: &'f File<'f>, limits: &LoadLimits) -> Self {
+        Self { is_whole: true, ..Self::new(file, limits) }
     }
 
     /// A mesh as a node poses it. Unposed ones are shared.
@@ -79,13 +90,14 @@ impl<'f> Meshes<'f> {
         if json.primitives.is_empty() {
             warnings.add("meshes without primitives are empty", &name);
         }
-        let mut draft = Draft::default();
+        let (mut draft, mut clear) = (Draft::default(), Draft::default());
         for (number, primitive) in json.primitives.iter().enumerate() {
             let place = format!("{name}, primitive {number}");
             let place = Place { mesh: index, number, name: &place };
-            self.add_primitive(&mut draft, primitive, &place, pose, materials, warnings)?;
+            self.add_primitive([&mut draft, &mut clear], primitive, &place, pose, materials, warnings)?;
         }
-        let loaded = Arc::new(draft.finish());
+        let clear = (!clear.mesh.triangles.is_empty()).then(|| Box::new(clear.finish()));
+        let loaded = Arc::new(LoadedMesh { clear, ..draft.finish() });
         if pose.is_plain() {
             self.read[index] = Some(Arc::clone(&loaded));
         }
@@ -94,7 +106,7 @@ impl<'f> Meshes<'f> {
 
     fn add_primitive(
         &mut self,
-        draft: &mut Draft,
+        [draft, clear]: [&mut Draft; 2],
         primitive: &'f Primitive,
         place: &Place<'_>,
         pose: &Pose,
@@ -110,9 +122,25 @@ impl<'f> Meshes<'f> {
             Checked::Invalid => return Err(malformed(place.name, "its mode is unknown")),
         };
         let material = materials.get(primitive.material, warnings)?;
-        if material.is_clear {
-            return Ok(());
+        if !material.is_clear {
+            return self.add_surface(draft, (primitive, mode), material, place, pose, warnings);
         }
+        if self.is_whole {
+            // What light does not meet was not looked at before: where it is broken it is left out.
+            let _ = self.add_surface(clear, (primitive, mode), material, place, pose, warnings);
+        }
+        Ok(())
+    }
+
+    fn add_surface(
+        &mut self,
+        draft: &mut Draft,
+        (primitive, mode): (&'f Primitive, Mode),
+        material: LoadedMaterial,
+        place: &Place<'_>,
+        pose: &Pose,
+        warnings: &mut Warnings,
+    ) -> Result<(), LoadError> {
         let has =
             |set: usize| set < 2 && primitive.attributes.contains_key(&Checked::Valid(Semantic::TexCoords(set as u32)));
         let (material, unplaced) = material.with_texcoords(has);
@@ -152,7 +180,7 @@ impl<'f> Meshes<'f> {
         pose: &Pose,
         warnings: &mut Warnings,
     ) -> Result<(u32, usize), LoadError> {
-        let key = shared_by(attributes, material).filter(|_| pose.is_plain());
+        let key = self.shared_by(attributes, material).filter(|_| pose.is_plain());
         if let Some(known) = key.as_ref().and_then(|key| draft.vertex_ranges.get(key)) {
             return Ok(*known);
         }
@@ -180,6 +208,7 @@ impl<'f> Meshes<'f> {
                 true => attributes.texcoords(set as u32, count)?,
                 // An atlas may use the second set, and does without it where it is of no use.
                 false if set == 1 => attributes.texcoords(1, count).unwrap_or(None),
+                false if self.is_whole => attributes.texcoords(0, count).unwrap_or(None),
                 false => None,
             };
             let values = values.map(|values| values.into_iter().map(Vec2::from_array));
@@ -192,6 +221,15 @@ impl<'f> Meshes<'f> {
         key.map(|key| draft.vertex_ranges.insert(key, range));
         Ok(range)
     }
+
+    /// The accessors that decide about a primitive's vertices; none for compressed ones, which are their own.
+    fn shared_by(&self, attributes: &Attributes<'_>, material: &LoadedMaterial) -> Option<Vec<Option<usize>>> {
+        let of = |semantic| attributes.accessor(semantic).map(|index| index.value());
+        let first = of(Semantic::TexCoords(0)).filter(|_| self.is_whole || material.uses_texcoord(0));
+        let positions = of(Semantic::Positions);
+        let all = vec![positions, of(Semantic::Normals), of(Semantic::Colors(0)), first, of(Semantic::TexCoords(1))];
+        attributes.draco.is_none().then_some(all)
+    }
 }
 
 /// Where a primitive stands in the document.
@@ -199,15 +237,6 @@ struct Place<'p> {
     mesh: usize,
     number: usize,
     name: &'p str,
-}
-
-/// The accessors that decide about a primitive's vertices; none for compressed ones, which are their own.
-fn shared_by(attributes: &Attributes<'_>, material: &LoadedMaterial) -> Option<Vec<Option<usize>>> {
-    let of = |semantic| attributes.accessor(semantic).map(|index| index.value());
-    let first = of(Semantic::TexCoords(0)).filter(|_| material.uses_texcoord(0));
-    let positions = of(Semantic::Positions);
-    let all = vec![positions, of(Semantic::Normals), of(Semantic::Colors(0)), first, of(Semantic::TexCoords(1))];
-    attributes.draco.is_none().then_some(all)
 }
 
 /// Appends values of the vertices from `first` on, which earlier vertices may lack. An empty list stays empty where
@@ -256,6 +285,7 @@ impl Draft {
             mesh: Arc::new(self.mesh),
             materials: self.materials,
             degenerate_triangles: self.degenerate_triangles,
+            clear: None,
         }
     }
 }

@@ -16,6 +16,7 @@ mod lights;
 mod material;
 mod mesh;
 mod nodes;
+mod original;
 mod pose;
 #[cfg(test)]
 mod tests;
@@ -35,6 +36,8 @@ use self::lights::Lights;
 use self::material::Materials;
 use self::mesh::{LoadedMesh, Meshes};
 use self::nodes::PlacedNode;
+pub use self::original::Original;
+pub(crate) use self::original::{OriginalMesh, OriginalNode};
 use self::warnings::Warnings;
 use super::names::UniqueNames;
 use super::{Camera, DEFAULT_MAX_ALBEDO, Object, Scene};
@@ -155,6 +158,20 @@ pub fn load_path(path: &Path, limits: &LoadLimits) -> Result<Scene, LoadError> {
     load_document(&bytes, &Files::Folder(folder), limits)
 }
 
+/// Opens a file of this machine to be written back: as [`Original::open`], and a `.gltf` finds its files where it names
+/// them.
+///
+/// # Errors
+/// [`LoadError`], with a text that names the place in the file.
+pub fn open_original(path: &Path, limits: &LoadLimits) -> Result<Original, LoadError> {
+    let bytes = std::fs::read(path).map_err(|error| LoadError::Malformed(format!("{}: {error}", path.display())))?;
+    if bytes.starts_with(b"PK") {
+        return Original::open(&bytes, limits);
+    }
+    let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+    original::open_document(&bytes, &Files::Folder(folder), limits)
+}
+
 fn load_document(bytes: &[u8], files: &Files<'_>, limits: &LoadLimits) -> Result<Scene, LoadError> {
     let file = container::open(bytes, files, limits)?;
     let mut warnings = Warnings::default();
@@ -162,7 +179,8 @@ fn load_document(bytes: &[u8], files: &Files<'_>, limits: &LoadLimits) -> Result
     let nodes = nodes::place(&file, limits, &mut warnings)?;
     let (objects, degenerate_triangles) = read_objects(&file, &nodes, limits, &mut warnings)?;
     let bounds = world_bounds(&objects)?;
-    let Lights { lights, parents } = lights::collect(&file.root, &nodes, &objects, limits, &mut warnings)?;
+    let Lights { lights, parents, nodes: light_nodes } =
+        lights::collect(&file.root, &nodes, &objects, limits, &mut warnings)?;
     let cameras = read_cameras(&file.root, &nodes, &mut warnings)?;
     if degenerate_triangles > 0 {
         warnings.add(format!("{degenerate_triangles} triangles without an area were dropped"), "");
@@ -173,8 +191,10 @@ fn load_document(bytes: &[u8], files: &Files<'_>, limits: &LoadLimits) -> Result
         lights,
         groups: std::collections::BTreeMap::new(),
         light_parents: parents,
+        light_nodes,
         hidden_lights: std::collections::BTreeMap::new(),
         cameras,
+        asset: None,
         warnings: warnings.into_texts(),
         degenerate_triangles,
     })
@@ -245,6 +265,7 @@ fn read_objects(
                 world_from_object,
                 is_hidden: false,
                 node: source,
+                asset: None,
             };
             objects.push(LoadedObject { object, loaded: Arc::clone(&loaded), node: node.index });
         }

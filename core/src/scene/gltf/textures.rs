@@ -31,6 +31,8 @@ pub(super) struct Textures<'f> {
     max_pixels: u64,
     total_pixels_left: u64,
     kept_texels_left: usize,
+    /// Instead of every picture, where none is decoded.
+    blank: Option<Arc<Texture>>,
     /// By image and what its alpha means. None: not there, or in a format that is not read.
     known: BTreeMap<(usize, AlphaKey), Option<Arc<Texture>>>,
 }
@@ -44,8 +46,15 @@ impl<'f> Textures<'f> {
             max_pixels: limits.max_texture_pixels,
             total_pixels_left: limits.max_total_texture_pixels,
             kept_texels_left: limits.max_kept_texels,
+            blank: None,
             known: BTreeMap::new(),
         }
+    }
+
+    /// None is decoded: a white texel stands for every picture.
+    pub(super) fn undecoded(file: &'f File<'f>, limits: &LoadLimits) -> Self {
+        let blank = Texture::new(1, 1, &[255; 4], AlphaUse::Ignored, 1);
+        Self { blank: Some(Arc::new(blank)), ..Self::new(file, limits) }
     }
 
     /// A texture as a material refers to it; none, with a warning, where it cannot be had.
@@ -62,6 +71,7 @@ impl<'f> Textures<'f> {
         let Some(image) = self.image_of(info.index.value(), texture, kind, place, warnings)? else { return Ok(None) };
         let key = (image, alpha_key(alpha));
         let picture = match self.known.get(&key) {
+            _ if self.blank.is_some() => self.blank.clone(),
             Some(known) => known.clone(),
             None => {
                 let read = self.read(image, alpha, warnings)?.map(Arc::new);
@@ -166,16 +176,25 @@ impl<'f> Textures<'f> {
     }
 
     fn bytes_of(&self, index: usize, place: &str) -> Result<Option<Cow<'f, [u8]>>, LoadError> {
-        let image = self.file.root.images.get(index).ok_or_else(|| malformed(place, "does not exist"))?;
-        if let Some(view) = image.buffer_view {
-            return view_bytes(self.file, view, place).map(|bytes| Some(Cow::Borrowed(bytes)));
-        }
-        let Some(uri) = &image.uri else { return Ok(None) };
-        Ok(match resolve(uri, self.file.files, &self.file.unpacked, place)? {
-            Named::Here(bytes) => Some(Cow::Owned(bytes)),
-            Named::Missing => None,
-        })
+        image_bytes(self.file, index, place)
     }
+}
+
+/// The file that an image is; none where it is not there.
+pub(super) fn image_bytes<'f>(
+    file: &'f File<'_>,
+    index: usize,
+    place: &str,
+) -> Result<Option<Cow<'f, [u8]>>, LoadError> {
+    let image = file.root.images.get(index).ok_or_else(|| malformed(place, "does not exist"))?;
+    if let Some(view) = image.buffer_view {
+        return view_bytes(file, view, place).map(|bytes| Some(Cow::Borrowed(bytes)));
+    }
+    let Some(uri) = &image.uri else { return Ok(None) };
+    Ok(match resolve(uri, file.files, &file.unpacked, place)? {
+        Named::Here(bytes) => Some(Cow::Owned(bytes)),
+        Named::Missing => None,
+    })
 }
 
 fn alpha_key(alpha: AlphaUse) -> AlphaKey {

@@ -81,13 +81,8 @@ impl Disk {
         })
     }
 
-    /// The bytes of an asset.
-    pub(crate) fn asset(&self, id: &str) -> Result<Vec<u8>, StoreError> {
-        self.blobs.get(id)
-    }
-
     /// The upload of a scene.
-    pub(crate) fn upload(&self, scene: &SavedScene) -> Result<Vec<u8>, StoreError> {
+    pub(crate) fn upload_of(&self, scene: &SavedScene) -> Result<Vec<u8>, StoreError> {
         self.blobs.get(&scene.blob)
     }
 

@@ -2,6 +2,7 @@
 
 use std::sync::PoisonError;
 
+use bytes::Bytes;
 use rusqlite::{OptionalExtension, Transaction};
 
 use super::blobs::{BlobId, Pin};
@@ -12,6 +13,19 @@ use crate::store::versions::FIRST_RESERVE;
 use crate::store::{Store, StoreError};
 
 impl Store for Disk {
+    fn upload(&self, scene: SceneNumber) -> Result<Bytes, StoreError> {
+        let blob: String = {
+            let connection = self.connection();
+            let sql = "SELECT blob FROM scenes WHERE number = ?1";
+            open(&connection)?.query_row(sql, [scene as i64], |row| row.get(0))?
+        };
+        self.blobs.get(&blob).map(Bytes::from)
+    }
+
+    fn asset(&self, id: &str) -> Result<Bytes, StoreError> {
+        self.blobs.get(id).map(Bytes::from)
+    }
+
     fn is_durable(&self) -> bool {
         true
     }
