@@ -141,9 +141,11 @@ fn prepare(viewer: &Path, wish: Wish) -> Result<Ready, String> {
     if !done.status.success() {
         return Err(said);
     }
-    // A broken page is a failure, not a reason to skip.
-    let built = Command::new("npm").args(["run", "build"]).current_dir(viewer).output().unwrap();
-    assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stdout));
+    // A broken page or client is a failure, not a reason to skip.
+    for script in ["client", "build"] {
+        let ran = Command::new("npm").args(["run", script]).current_dir(viewer).output().unwrap();
+        assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stdout));
+    }
     Ok(Ready { chromium: PathBuf::from(said), page: viewer.join("dist"), lock })
 }
 

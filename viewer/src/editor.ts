@@ -2,8 +2,8 @@
 
 import { Color, Matrix4, Mesh, MeshStandardMaterial, type Group, type ShaderMaterial } from 'three';
 import { GLTFExporter } from 'three/examples/jsm/exporters/GLTFExporter.js';
-import { api } from './api';
-import type { Edit, Job, Light, Point, Rgb, Scene, SceneObject, View } from './types';
+import type { Edit, Job, Light, NewLight, Point, Rgb, Scene, SceneObject } from 'rebake';
+import { client, type View } from './api';
 
 const IDENTITY = new Matrix4().toArray();
 
@@ -57,7 +57,7 @@ export class Editor {
 
   /** Takes an object out. Its geometry is kept by the service as an asset, so that it can come back. */
   async remove(object: SceneObject, group: Group): Promise<void> {
-    const asset = await api.asset(await toGlb(group));
+    const asset = (await client.asset(await toGlb(group))).asset;
     await this.run({
       label: `remove ${object.name}`,
       forth: [{ op: 'remove', objects: [object.name] }],
@@ -133,7 +133,7 @@ export class Editor {
     await this.run({
       label: `remove ${light.name}`,
       forth: [{ op: 'remove_light', light: light.name }],
-      back: [{ op: 'insert_light', name: light.name, light: { kind, color, intensity, position, direction } }],
+      back: [{ op: 'insert_light', name: light.name, light: { kind, color, intensity, position, direction } as NewLight }],
     });
   }
 
@@ -150,7 +150,7 @@ export class Editor {
 
   private async send(edits: Edit[], label: string): Promise<void> {
     this.events.before();
-    this.events.accepted(await api.edit(this.scene().id, edits, this.view()), label);
+    this.events.accepted(await client.edit(this.scene().id, edits, { focus: this.view() }), label);
   }
 }
 

@@ -1,8 +1,7 @@
 // The light map on the page's side: what is current, what it was before the edit, what is shown.
 
 import { DynamicDrawUsage, BufferAttribute } from 'three';
-import { apply, reach, type Frame } from './frames';
-import type { Rgb, SceneObject } from './types';
+import { apply, reach, type Frame, type Rgb, type SceneObject } from 'rebake';
 
 /** Marks elements that were not there before the edit. Estimated light may be a little below 0, never this far. */
 const NEW = -1e30;

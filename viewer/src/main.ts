@@ -1,9 +1,9 @@
 // Wires it all together: one scene at a time, followed live.
 
+import { isOpen, makeWorker, streamInWorker, type FromWorker, type Job, type Point, type Rgb, type Scene } from 'rebake';
 import { Matrix4 } from 'three';
-import { api } from './api';
+import { client } from './api';
 import { Editor } from './editor';
-import { Events } from './events';
 import { onDrop, onFile } from './files';
 import { LightMap } from './lightmap';
 import { attempting, banner, say } from './messages';
@@ -11,15 +11,12 @@ import { $, details, list, make, work } from './panels';
 import { Plot } from './plot';
 import { Relighting } from './relighting';
 import { Stage, type Picked } from './stage';
-import { authorization } from './token';
-import { isOpen, type Job, type Point, type Rgb, type Scene } from './types';
 import { Views } from './views';
-import type { FromWorker } from './worker';
 
 const stage = new Stage($('canvas'));
 const map = new LightMap();
 const plot = new Plot($('plot'));
-const worker = new Worker(new URL('./worker.ts', import.meta.url), { type: 'module' });
+const worker = makeWorker();
 const editor = new Editor(() => scene!, () => stage.view(), {
   before: () => {
     map.remember();
@@ -36,7 +33,8 @@ const editor = new Editor(() => scene!, () => stage.view(), {
 let scene: Scene | null = null;
 let picked: Picked | null = null;
 let version = 0;
-let events: Events | null = null;
+let events = new AbortController();
+let stopStream = () => {};
 let jobs: Job[] = [];
 /** Names of the objects before the last edit: the others have no light to compare with. */
 let before = new Set<string>();
@@ -51,7 +49,7 @@ const relighting = new Relighting(map);
 // ---- scenes
 
 async function listScenes(choose?: string): Promise<void> {
-  const scenes = await api.scenes();
+  const scenes = await client.scenes();
   const select = $<HTMLSelectElement>('scenes');
   select.replaceChildren(...scenes.map((s) => make('option', { value: s.id }, s.name || s.id)));
   if (scenes.length === 0) select.append(make('option', { value: '' }, 'none yet'));
@@ -62,8 +60,8 @@ async function listScenes(choose?: string): Promise<void> {
 }
 
 function leave(): void {
-  worker.postMessage(null);
-  events?.close();
+  stopStream();
+  events.abort();
   [scene, picked, jobs, shownMesh] = [null, null, [], ''];
   map.clear();
   stage.clear();
@@ -81,12 +79,8 @@ function leave(): void {
 
 async function open(id: string): Promise<void> {
   leave();
-  let found = await api.scene(id);
-  for (; found.state === 'preparing'; found = await api.scene(id)) {
-    say('Laying out its elements …');
-    await new Promise((done) => setTimeout(done, 250));
-  }
-  scene = found;
+  say('Laying out its elements …');
+  scene = await client.prepared(id);
   location.hash = id;
   $<HTMLSelectElement>('scenes').value = id;
   $('welcome').hidden = true;
@@ -97,9 +91,9 @@ async function open(id: string): Promise<void> {
   cameras.replaceChildren(option('', 'overview'), ...scene.cameras.map((c) => option(String(c.index), c.name)));
   cameras.value = scene.cameras.length ? '0' : '';
   useCamera();
-  worker.postMessage({ url: api.deltas(id), headers: authorization() });
-  jobs = await api.jobs(id);
-  listen(id);
+  stopStream = streamInWorker(worker, client, id, streamed);
+  jobs = await client.jobs(id);
+  void listen(id);
   panels();
 }
 
@@ -111,7 +105,7 @@ async function showMesh(): Promise<void> {
     return;
   }
   const of = scene!.id;
-  const file = await api.mesh(of);
+  const file = await client.lightMap(of, { format: 'glb' });
   if (scene?.id !== of) return;
   shownMesh = key;
   await stage.show(file, scene, map);
@@ -123,7 +117,7 @@ async function showMesh(): Promise<void> {
 async function refresh(): Promise<void> {
   if (!scene) return;
   const id = scene.id;
-  const now = await api.scene(id);
+  const now = await client.scene(id);
   if (scene?.id !== id) return;
   scene = now;
   const gone = picked && ![...now.objects, ...now.lights].some((x) => x.name === picked!.name);
@@ -139,19 +133,20 @@ async function refresh(): Promise<void> {
 
 // ---- what the service tells
 
-function listen(id: string): void {
-  events = new Events(api.events(id), {
-    job: told,
-    scene: (data) => {
-      if (data.what === 'deleted') void attempt(() => listScenes());
-      else void attempt(refresh);
-    },
-    snapshot: (data) => {
-      if (scene) scene.estimated_rmse = data.estimated_rmse;
-      if (scene && data.elements_version > scene.elements_version) void attempt(refresh);
-    },
-    reset: () => void attempt(async () => ((jobs = await api.jobs(id)), refresh())),
-  });
+async function listen(id: string): Promise<void> {
+  events = new AbortController();
+  const { signal } = events;
+  for await (const { type, data } of client.events(id, signal)) {
+    if (signal.aborted) return;
+    if (type === 'job') told(data);
+    else if (type === 'scene' && data.what === 'deleted') void attempt(() => listScenes());
+    else if (type === 'scene') void attempt(refresh);
+    else if (type === 'reset') void attempt(async () => ((jobs = await client.jobs(id)), refresh()));
+    else if (type === 'snapshot' && scene) {
+      scene.estimated_rmse = data.estimated_rmse;
+      if (data.elements_version > scene.elements_version) void attempt(refresh);
+    }
+  }
 }
 
 function told(job: Job): void {
@@ -161,7 +156,7 @@ function told(job: Job): void {
   if (at < 0) jobs.unshift(job);
   else if (rank[job.state] >= rank[jobs[at]!.state] || (job.state === 'paused' && rank[jobs[at]!.state] < 2)) jobs[at] = job;
   const { estimated_rmse, elapsed_ms } = job.progress;
-  if (estimated_rmse !== null) plot.add(job.id, elapsed_ms / 1000, estimated_rmse);
+  if (typeof estimated_rmse === 'number') plot.add(job.id, elapsed_ms / 1000, estimated_rmse);
   if (job.state === 'failed') banner(`The job failed: ${job.error}`);
   if (scene && rank[job.state] === 2) scene.estimated_rmse = estimated_rmse ?? scene.estimated_rmse;
   panelsOfWork();
@@ -181,13 +176,13 @@ let isLost = false;
 /** After a lost connection: what happened meanwhile. The light map's stream resumes by itself. */
 async function caughtUp(): Promise<void> {
   if (!scene) return;
-  events?.close();
-  jobs = await api.jobs(scene.id);
-  listen(scene.id);
+  events.abort();
+  jobs = await client.jobs(scene.id);
+  void listen(scene.id);
   await refresh();
 }
 
-worker.onmessage = ({ data }: MessageEvent<FromWorker>) => {
+function streamed(data: FromWorker): void {
   switch (data.type) {
     case 'snapshot': {
       version = data.version;
@@ -219,8 +214,11 @@ worker.onmessage = ({ data }: MessageEvent<FromWorker>) => {
       say('This scene is gone');
       banner('The service no longer has this scene: it was deleted, or the service was started anew. Upload it again.');
       void listScenes().catch(() => {});
+      break;
+    case 'failed':
+      banner(data.why);
   }
-};
+}
 
 function useCamera(): void {
   const camera = scene?.cameras[Number($<HTMLSelectElement>('cameras').value || -1)];
@@ -292,14 +290,14 @@ function move(delta: Matrix4): void {
 
 async function upload(file: File): Promise<void> {
   say(`Uploading ${file.name}…`);
-  const created = await api.upload(file, file.name.replace(/\.glb$/i, ''));
+  const created = await client.upload(file, { name: file.name.replace(/\.glb$/i, '') });
   if (created.warnings.length) banner(created.warnings.join('; '), true);
   await listScenes(created.id);
 }
 
 async function addAsset(file: File): Promise<void> {
   const name = file.name.replace(/\.glb$/i, '');
-  assets.set(name, await api.asset(file));
+  assets.set(name, (await client.asset(file)).asset);
   say(`${name} is in the library: click it to put it into the scene`);
   panels();
 }
@@ -338,7 +336,7 @@ function panels(): void {
 }
 
 function panelsOfWork(): void {
-  work(jobs, scene?.estimated_rmse ?? null, (job) => void attempt(() => api.cancel(job.id)));
+  work(jobs, scene?.estimated_rmse ?? null, (job) => void attempt(() => client.cancel(job.id)));
 }
 
 function keys(event: KeyboardEvent): void {
@@ -384,7 +382,7 @@ setInterval(() => {
   $('numbers').textContent = [mesh, stream, stage.frameMs ? `frame ${stage.frameMs.toFixed(0)} ms` : ''].filter(Boolean).join(' · ');
 }, 500);
 // For the console and for tests.
-Object.assign(window, { rebake: { stage, map, relighting, api, state: () => ({ scene, version, jobs, exposure: views.exposure, view: views.current }) } });
+Object.assign(window, { rebake: { stage, map, relighting, client, state: () => ({ scene, version, jobs, exposure: views.exposure, view: views.current }) } });
 
 buttons();
 panels();

@@ -1,6 +1,6 @@
 // What the page says: one line of status, and a banner for what a person has to know.
 
-import { Refused } from './api';
+import { Refused } from 'rebake';
 import { $ } from './panels';
 
 export function say(text: string): void {

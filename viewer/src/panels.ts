@@ -1,7 +1,7 @@
 // The lists and forms beside the scene.
 
+import { isOpen, type Job, type Light, type Point, type Rgb, type Scene, type SceneObject } from 'rebake';
 import type { Picked } from './stage';
-import { isOpen, type Job, type Light, type Point, type Rgb, type Scene, type SceneObject } from './types';
 
 export const $ = <T extends HTMLElement>(id: string): T => document.getElementById(id) as T;
 
@@ -186,7 +186,7 @@ export function work(jobs: Job[], rmse: number | null, cancel: (job: Job) => voi
   const last = jobs[0];
   const parent = $('job');
   if (running) {
-    const { fraction, elapsed_ms, remaining_ms: left, estimated_rmse, pass, samples_per_element } = running.progress;
+    const { fraction, elapsed_ms, remaining_ms: left = null, estimated_rmse = null, pass, samples_per_element } = running.progress;
     const error = estimated_rmse === null ? 'no light yet' : `stated error ${estimated_rmse.toPrecision(3)}`;
     const text = [
       `${running.kind}, ${(pass ?? 'starting').replace('_', ' ')}`,

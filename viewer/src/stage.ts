@@ -5,12 +5,13 @@ import {
   Object3D, PerspectiveCamera, Raycaster, Scene as ThreeScene, ShaderMaterial, SphereGeometry, Vector2, Vector3,
   WebGLRenderer,
 } from 'three';
+import type { Camera, Light, Point, Scene, SceneObject } from 'rebake';
 import { OrbitControls } from 'three/examples/jsm/controls/OrbitControls.js';
 import { TransformControls } from 'three/examples/jsm/controls/TransformControls.js';
 import { GLTFLoader } from 'three/examples/jsm/loaders/GLTFLoader.js';
 import type { LightMap } from './lightmap';
 import { shared, surface } from './material';
-import type { Camera, Light, Point, Scene, SceneObject, View } from './types';
+import type { View } from './api';
 
 export interface Picked {
   kind: 'object' | 'light';

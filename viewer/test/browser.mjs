@@ -10,8 +10,9 @@
 import { mkdir } from 'node:fs/promises';
 import { join } from 'node:path';
 import { createInterface } from 'node:readline';
-import { inflateSync } from 'node:zlib';
 import { launch } from './launch.mjs';
+import { checkLive } from './live.mjs';
+import { decodePng, difference, patch } from './pictures.mjs';
 
 const [base, room, objectName, shots] = process.argv.slice(2);
 const PATIENCE = 60_000;
@@ -20,45 +21,6 @@ const token = process.env.TOKEN;
 function check(is, text) {
   if (!is) throw new Error(text);
   console.log(`ok: ${text}`);
-}
-
-/** 8-bit pixels of a PNG, as the browser and the service write them. */
-function decodePng(bytes) {
-  const [width, height, channels] = [bytes.readUInt32BE(16), bytes.readUInt32BE(20), bytes[25] === 6 ? 4 : 3];
-  const data = [];
-  for (let at = 8; at < bytes.length; at += bytes.readUInt32BE(at) + 12) {
-    if (bytes.toString('latin1', at + 4, at + 8) === 'IDAT') data.push(bytes.subarray(at + 8, at + 8 + bytes.readUInt32BE(at)));
-  }
-  const raw = inflateSync(Buffer.concat(data));
-  const stride = width * channels;
-  const rows = Buffer.alloc(stride * height);
-  for (let y = 0; y < height; y++) {
-    const filter = raw[y * (stride + 1)];
-    for (let x = 0; x < stride; x++) {
-      const left = x >= channels ? rows[y * stride + x - channels] : 0;
-      const up = y ? rows[(y - 1) * stride + x] : 0;
-      const corner = x >= channels && y ? rows[(y - 1) * stride + x - channels] : 0;
-      const p = left + up - corner;
-      const [a, b, c] = [Math.abs(p - left), Math.abs(p - up), Math.abs(p - corner)];
-      const paeth = a <= b && a <= c ? left : b <= c ? up : corner;
-      const predicted = [0, left, up, (left + up) >> 1, paeth][filter];
-      rows[y * stride + x] = raw[y * (stride + 1) + 1 + x] + predicted;
-    }
-  }
-  return { width, height, at: (x, y) => [...rows.subarray(y * stride + x * channels, y * stride + x * channels + 3)] };
-}
-
-/** Mean of the three channels over a square around a point given in parts of the picture. */
-function patch(picture, [u, v], half = 4) {
-  const [cx, cy] = [Math.round(u * picture.width), Math.round(v * picture.height)];
-  let [sum, count] = [0, 0];
-  for (let y = cy - half; y <= cy + half; y++) {
-    for (let x = cx - half; x <= cx + half; x++) {
-      sum += picture.at(x, y).reduce((a, b) => a + b) / 3;
-      count++;
-    }
-  }
-  return sum / count;
 }
 
 await mkdir(shots, { recursive: true });
@@ -117,10 +79,8 @@ try {
 
   // The page and the service agree on what the room looks like: the median over a grid of the pixels' difference.
   const [seen, drawn] = [await canvas(), await rendered()];
-  const differences = [];
-  for (let v = 0.05; v < 1; v += 0.09) for (let u = 0.05; u < 1; u += 0.06) differences.push(Math.abs(patch(seen, [u, v], 2) - patch(drawn, [u, v], 2)));
-  differences.sort((a, b) => a - b);
-  check(differences[Math.floor(differences.length / 2)] < 4, `page and service show the same room (median ${differences[Math.floor(differences.length / 2)].toFixed(2)} of 255)`);
+  const median = difference(seen, drawn);
+  check(median < 4, `page and service show the same room (median ${median.toFixed(2)} of 255)`);
 
   // Under the object: a point of the floor in the middle of its footprint.
   const { bounds } = scene.objects.find((o) => o.name === objectName);
@@ -314,6 +274,7 @@ try {
     await uploaded();
     check((await state()).scene.id !== scene.id, 'after a restart of the service the page works on');
   }
+  await checkLive({ page, base, token, room, objectName, check, shot });
   check(errors.length === 0, `no error in the page ${errors.join('; ')}`);
   console.log('done');
 } catch (error) {
