@@ -14,7 +14,7 @@ use super::server::{Answer, Server, path_of, patiently};
 
 const READ: &str = "0123456789abcdef-read";
 pub(crate) const EDIT: &str = "0123456789abcdef-edit";
-const ADMIN: &str = "0123456789abcdef-admin";
+pub(crate) const ADMIN: &str = "0123456789abcdef-admin";
 
 pub(crate) fn token_file() -> tempfile::NamedTempFile {
     let file = tempfile::NamedTempFile::new().unwrap();

@@ -20,7 +20,7 @@ use tokio::net::TcpListener;
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
 
-use super::access::{EDIT, token_file};
+use super::access::{ADMIN, token_file};
 use super::server::{Server, patiently};
 
 /// Between two lines of the script: longer than it waits itself.
@@ -209,7 +209,7 @@ impl Script {
             .env("CHROMIUM", chromium)
             .env("PAGE_DIR", page)
             .env("CAN_RESTART", "1")
-            .env("TOKEN", EDIT)
+            .env("TOKEN", ADMIN)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()

@@ -146,6 +146,17 @@ export class LightMap {
     return sum / (3 * count);
   }
 
+  /** The mean over the elements of all objects: a measure of how bright things are. */
+  meanOf(objects: SceneObject[]): number {
+    let [sum, count] = [0, 0];
+    for (const object of objects) {
+      if (object.elements.count === 0) continue;
+      sum += this.mean(object) * object.elements.count;
+      count += object.elements.count;
+    }
+    return count ? sum / count : 0;
+  }
+
   /** The size that few changes pass: for the colour scale. */
   changeScale(): number {
     const sizes: number[] = [];

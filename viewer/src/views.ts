@@ -4,7 +4,7 @@ import { readFrames, type Scene } from 'rebake';
 import { client, pictures } from './api';
 import type { LightMap } from './lightmap';
 import { shared } from './material';
-import { $, make } from './panels';
+import { $, make } from './dom';
 import type { Stage } from './stage';
 
 /** Views of one layer are called after it. */

@@ -23,9 +23,8 @@ async function serve(page, base, room) {
   });
 }
 
-export async function checkLive({ page, base, token, room, objectName, check, shot }) {
-  const { ElementMap, Rebake, readFrames } = await import(new URL('../../clients/js/dist/index.js', import.meta.url));
-  const client = new Rebake(base, { token });
+export async function checkLive({ page, base, token, room, objectName, check, shot, client }) {
+  const { ElementMap, readFrames } = await import(new URL('../../clients/js/dist/index.js', import.meta.url));
   await readme(base, token, room, objectName, check);
   await serve(page, base, room);
   await page.setViewportSize({ width: 480, height: 300 });
@@ -65,7 +64,7 @@ export async function checkLive({ page, base, token, room, objectName, check, sh
       }
       check(Buffer.from(whole.values.buffer).equals(Buffer.from(steps.values.buffer)), 'a stream adds up to the whole map, bit for bit');
     }
-    await client.delete(uploaded.id).catch(() => {});
+    await client.delete(uploaded.id);
   }
 }
 
