@@ -7,6 +7,10 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::{env, fs};
 
+/// What the page is built from, seen from `viewer/`; beside it the client, which it uses from its sources.
+const INPUTS: [&str; 7] =
+    ["src", "index.html", "package.json", "package-lock.json", "vite.config.ts", "tsconfig.json", "../clients/js/src"];
+
 /// What the page's build writes.
 const FILES: [(&str, &str); 4] = [
     ("index.html", "text/html; charset=utf-8"),
@@ -21,7 +25,7 @@ fn main() {
         Path::new(&env::var_os("CARGO_MANIFEST_DIR").expect("cargo sets CARGO_MANIFEST_DIR")).join("../viewer");
     println!("cargo::rerun-if-changed=build.rs");
     let built = if env::var_os("CARGO_FEATURE_VIEWER").is_some() {
-        for part in ["src", "index.html", "package.json", "package-lock.json", "vite.config.ts", "tsconfig.json"] {
+        for part in INPUTS {
             println!("cargo::rerun-if-changed={}", source.join(part).display());
         }
         build(&source, &out.join("viewer"))

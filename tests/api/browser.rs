@@ -20,7 +20,7 @@ use tokio::net::TcpListener;
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
 
-use super::access::{EDIT, token_file};
+use super::access::{ADMIN, token_file};
 use super::server::{Server, patiently};
 
 /// Between two lines of the script: longer than it waits itself.
@@ -141,9 +141,11 @@ fn prepare(viewer: &Path, wish: Wish) -> Result<Ready, String> {
     if !done.status.success() {
         return Err(said);
     }
-    // A broken page is a failure, not a reason to skip.
-    let built = Command::new("npm").args(["run", "build"]).current_dir(viewer).output().unwrap();
-    assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stdout));
+    // A broken page or client is a failure, not a reason to skip.
+    for script in ["client", "build"] {
+        let ran = Command::new("npm").args(["run", script]).current_dir(viewer).output().unwrap();
+        assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stdout));
+    }
     Ok(Ready { chromium: PathBuf::from(said), page: viewer.join("dist"), lock })
 }
 
@@ -207,7 +209,7 @@ impl Script {
             .env("CHROMIUM", chromium)
             .env("PAGE_DIR", page)
             .env("CAN_RESTART", "1")
-            .env("TOKEN", EDIT)
+            .env("TOKEN", ADMIN)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()

@@ -1,180 +1,166 @@
-// Edits with their inverses: what undo and redo send.
+// Sends edits, one request after the other, each for the state that the page has seen: what somebody else has done
+// meanwhile is shown before anything is done on top of it. Undo, redo and the history are the service's.
 
-import { Color, Matrix4, Mesh, MeshStandardMaterial, type Group, type ShaderMaterial } from 'three';
-import { GLTFExporter } from 'three/examples/jsm/exporters/GLTFExporter.js';
-import { api } from './api';
-import type { Edit, Job, Light, Point, Rgb, Scene, SceneObject, View } from './types';
+import { Refused, Unreachable, type Edit, type HistoryPage, type Job, type Scene } from 'rebake';
+import { client, type View } from './api';
 
-const IDENTITY = new Matrix4().toArray();
-
-/** An edit, and what takes it back. */
-interface Step {
+interface Wish {
   label: string;
-  forth: Edit[];
-  back: Edit[];
+  edits: Edit[];
+  /** The same for every attempt: a request that has come through counts once. */
+  key: string;
+  scene: string;
+  settled(accepted: Job | null): void;
+}
+
+export interface EditorEvents {
+  scene(): Scene | null;
+  view(): View;
+  /** An edit is about to be sent. */
+  before(): void;
+  accepted(job: Job, label: string): void;
+  /** Others were faster. `again` sends it for what is there now. */
+  conflict(label: string, again: () => void): void;
+  /** So many edits wait for a service that is away; 0: none does any more. */
+  waiting(labels: string[]): void;
+  /** It will never be made. */
+  dropped(label: string, why: string): void;
+  history(page: HistoryPage | null): void;
 }
 
 export class Editor {
-  private done: Step[] = [];
-  private undone: Step[] = [];
+  history: HistoryPage | null = null;
+  private readonly queue: Wish[] = [];
+  private isSending = false;
+  private isAway = false;
+  private retry = () => {};
 
-  constructor(
-    private readonly scene: () => Scene,
-    private readonly view: () => View,
-    /** An edit is about to be sent; another was accepted. */
-    private readonly events: { before(): void; accepted(job: Job, label: string): void; changed(): void },
-  ) {}
+  constructor(private readonly events: EditorEvents) {}
 
-  get canUndo(): string | undefined {
-    return this.done.at(-1)?.label;
-  }
-
-  get canRedo(): string | undefined {
-    return this.undone.at(-1)?.label;
-  }
-
+  /** Another scene is shown: what waits belongs to the one before, and is dropped with a word. */
   clear(): void {
-    this.done = [];
-    this.undone = [];
-    this.events.changed();
+    for (const wish of this.queue.splice(0)) this.drop(wish, 'the scene was left');
+    this.events.waiting([]);
+    this.history = null;
+    this.events.history(null);
   }
 
-  async undo(): Promise<void> {
-    const step = this.done.at(-1);
-    if (!step) return;
-    await this.send(step.back, `undo: ${step.label}`);
-    this.undone.push(this.done.pop()!);
-    this.events.changed();
+  /** The service is back. */
+  resume(): void {
+    this.isAway = false;
+    this.retry();
   }
 
-  async redo(): Promise<void> {
-    const step = this.undone.at(-1);
-    if (!step) return;
-    await this.send(step.forth, `redo: ${step.label}`);
-    this.done.push(this.undone.pop()!);
-    this.events.changed();
+  /** Gives up what waits. */
+  dropAll(): void {
+    for (const wish of this.queue.splice(0)) this.drop(wish, 'it was given up');
+    this.events.waiting([]);
+    this.retry();
   }
 
-  /** Takes an object out. Its geometry is kept by the service as an asset, so that it can come back. */
-  async remove(object: SceneObject, group: Group): Promise<void> {
-    const asset = await api.asset(await toGlb(group));
-    await this.run({
-      label: `remove ${object.name}`,
-      forth: [{ op: 'remove', objects: [object.name] }],
-      back: [{ op: 'insert', asset, name: object.name, transform: IDENTITY }],
+  /** Sends an edit; null where it was not accepted, which has been said then. */
+  run(label: string, edits: Edit | Edit[]): Promise<Job | null> {
+    const scene = this.events.scene();
+    if (!scene) return Promise.resolve(null);
+    return new Promise((settled) => {
+      const all = Array.isArray(edits) ? edits : [edits];
+      this.queue.push({ label, edits: all, key: crypto.randomUUID(), scene: scene.id, settled });
+      void this.work();
     });
   }
 
-  async insert(asset: string, wanted: string, at: Point): Promise<void> {
-    const taken = new Set(this.scene().objects.map((o) => o.name));
-    let name = wanted;
-    for (let n = 2; taken.has(name); n++) name = `${wanted}-${n}`;
-    const transform = new Matrix4().makeTranslation(...at).toArray();
-    await this.run({
-      label: `insert ${name}`,
-      forth: [{ op: 'insert', asset, name, transform }],
-      back: [{ op: 'remove', objects: [name] }],
-    });
+  undo = () => this.step('undo', this.history?.undo);
+  redo = () => this.step('redo', this.history?.redo);
+
+  /** Looks at the history anew. */
+  async refresh(): Promise<void> {
+    const scene = this.events.scene();
+    if (!scene) return;
+    const page = await client.history(scene.id);
+    if (this.events.scene()?.id !== scene.id) return;
+    this.history = page;
+    this.events.history(page);
   }
 
-  /** Moves an object by a world-space matrix. */
-  async move(object: SceneObject, delta: Matrix4): Promise<void> {
-    const transform = delta.clone().multiply(new Matrix4().fromArray(object.transform)).toArray();
-    await this.run({
-      label: `move ${object.name}`,
-      forth: [{ op: 'move', object: object.name, transform }],
-      back: [{ op: 'move', object: object.name, transform: object.transform }],
-    });
+  private async step(op: 'undo' | 'redo', sequence: number | null | undefined): Promise<void> {
+    const entry = this.history?.items.find((item) => item.sequence === sequence);
+    if (entry) await this.run(`${op}: ${describe(entry.request)}`, { op });
   }
 
-  async paint(object: SceneObject, albedo: Rgb): Promise<void> {
-    await this.run({
-      label: `repaint ${object.name}`,
-      forth: [{ op: 'material', object: object.name, albedo }],
-      back: [{ op: 'material', object: object.name, albedo: object.albedo }],
-    });
+  private async work(): Promise<void> {
+    if (this.isSending) return;
+    this.isSending = true;
+    for (let wish = this.queue[0]; wish; wish = this.queue[0]) {
+      const outcome = await this.attempt(wish);
+      if (outcome === 'away') {
+        this.isAway = true;
+        this.events.waiting(this.queue.map((one) => one.label));
+        await new Promise<void>((done) => {
+          this.retry = done;
+          setTimeout(done, 2000);
+        });
+        continue;
+      }
+      if (this.queue[0] === wish) this.queue.shift();
+      if (this.isAway || this.queue.length === 0) this.events.waiting([]);
+      this.isAway = false;
+    }
+    this.isSending = false;
   }
 
-  /** Changes a light; steps of one drag of a slider (`from` is the light before it) are one step of undo. */
-  async relight(from: Light, color: Rgb, intensity: number): Promise<void> {
-    const set = (color: Rgb, intensity: number): Edit[] => [
-      { op: 'relight', lights: [{ light: from.name, color, intensity }] },
-    ];
-    const label = `light ${from.name}`;
-    const step = { label, forth: set(color, intensity), back: set(from.color, from.intensity) };
-    const last = this.done.at(-1);
-    const goesOn = last?.label === label && JSON.stringify(last.back) === JSON.stringify(step.back);
-    await this.send(step.forth, label);
-    if (goesOn) this.done.pop();
-    this.push(step);
-  }
-
-  async moveLight(light: Light, to: Point): Promise<void> {
-    const set = (position: Point): Edit[] => [{ op: 'move_light', light: light.name, position }];
-    await this.run({ label: `move ${light.name}`, forth: set(to), back: set(light.position!) });
-  }
-
-  async addLight(position: Point, intensity: number): Promise<string> {
-    const taken = new Set(this.scene().lights.map((l) => l.name));
-    let n = 1;
-    while (taken.has(`light-${n}`)) n++;
-    const name = `light-${n}`;
-    await this.run({
-      label: `add ${name}`,
-      forth: [{ op: 'insert_light', name, light: { kind: 'point', position, color: [1, 0.95, 0.85], intensity } }],
-      back: [{ op: 'remove_light', light: name }],
-    });
-    return name;
-  }
-
-  /** Takes a light away. What the service does not tell of a light (cone, range) does not come back with undo. */
-  async removeLight(light: Light): Promise<void> {
-    const { kind, color, intensity, position, direction } = light;
-    await this.run({
-      label: `remove ${light.name}`,
-      forth: [{ op: 'remove_light', light: light.name }],
-      back: [{ op: 'insert_light', name: light.name, light: { kind, color, intensity, position, direction } }],
-    });
-  }
-
-  private async run(step: Step): Promise<void> {
-    await this.send(step.forth, step.label);
-    this.push(step);
-  }
-
-  private push(step: Step): void {
-    this.done.push(step);
-    this.undone = [];
-    this.events.changed();
-  }
-
-  private async send(edits: Edit[], label: string): Promise<void> {
+  private async attempt(wish: Wish): Promise<'done' | 'away'> {
+    const scene = this.events.scene();
+    if (scene?.id !== wish.scene) return this.drop(wish, 'the scene was left');
     this.events.before();
-    this.events.accepted(await api.edit(this.scene().id, edits, this.view()), label);
+    // Undo and redo stand alone in their request.
+    const edits = wish.edits.length === 1 ? wish.edits[0]! : wish.edits;
+    const options = { focus: this.events.view(), ifMatch: scene.accepted_edits, idempotencyKey: wish.key };
+    try {
+      const job = await client.edit(scene.id, edits, options);
+      // What comes next is made for this.
+      scene.accepted_edits = Math.max(scene.accepted_edits, job.accepted_edits);
+      this.events.accepted(job, wish.label);
+      wish.settled(job);
+      void this.refresh().catch(() => {});
+    } catch (error) {
+      if (error instanceof Unreachable || (error instanceof Refused && error.status === 503)) return 'away';
+      if (error instanceof Refused && error.status === 412) {
+        wish.settled(null);
+        this.events.conflict(wish.label, () => void this.run(wish.label, wish.edits));
+      } else return this.drop(wish, error instanceof Error ? error.message : String(error));
+    }
+    return 'done';
+  }
+
+  private drop(wish: Wish, why: string): 'done' {
+    this.events.dropped(wish.label, why);
+    wish.settled(null);
+    return 'done';
   }
 }
 
-/** An object's world-space geometry and materials as a file. */
-async function toGlb(group: Group): Promise<Blob> {
-  const copy = group.clone();
-  copy.traverse((child) => {
-    if (!(child instanceof Mesh)) return;
-    const { uniforms, side } = child.material as ShaderMaterial;
-    const color = (name: string) => new Color().setRGB(...(uniforms[name]!.value.toArray() as Rgb));
-    const emission = color('emission');
-    const strength = Math.max(emission.r, emission.g, emission.b, 1);
-    const material = new MeshStandardMaterial({ color: color('albedo'), roughness: 1, metalness: 0, side });
-    material.opacity = uniforms['opacity']!.value;
-    material.transparent = material.opacity < 1;
-    material.emissive.copy(emission.multiplyScalar(1 / strength));
-    material.emissiveIntensity = strength;
-    const geometry = child.geometry.clone();
-    geometry.deleteAttribute('light');
-    geometry.deleteAttribute('base');
-    child.geometry = geometry;
-    child.material = material;
-    child.matrix.decompose(child.position, child.quaternion, child.scale);
-  });
-  const file = await new GLTFExporter().parseAsync(copy, { binary: true });
-  return new Blob([file as ArrayBuffer]);
+/** An edit request in a few words. */
+export function describe(request: object): string {
+  const edits = ('edits' in request ? request.edits : [request]) as Edit[];
+  const first = edits[0] ? one(edits[0]) : 'nothing';
+  return edits.length > 1 ? `${first} and ${edits.length - 1} more` : first;
+}
+
+function one(edit: Edit): string {
+  const some = (names: string[]) => (names.length > 1 ? `${names[0]} and ${names.length - 1} more` : (names[0] ?? ''));
+  switch (edit.op) {
+    case 'insert':
+    case 'insert_light': return `insert ${edit.name}`;
+    case 'remove': return `remove ${some(edit.objects)}`;
+    case 'hide': return `hide ${some(edit.objects)}`;
+    case 'show': return `show ${some(edit.objects)}`;
+    case 'move': return `move ${edit.object}`;
+    case 'material': return `repaint ${edit.object ?? edit.material}`;
+    case 'relight': return `relight ${some(edit.lights.map((light) => light.light))}`;
+    case 'remove_light': return `remove ${edit.light}`;
+    case 'move_light': return `move ${edit.light}`;
+    case 'group_lights': return `group ${some(edit.lights)}`;
+    case 'sky': return 'sky';
+    default: return edit.op;
+  }
 }

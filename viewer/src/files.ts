@@ -1,6 +1,6 @@
 // Files that a person chooses or drops.
 
-import { $ } from './panels';
+import { $ } from './dom';
 
 /** Calls `take` with every file chosen in an input. */
 export function onFile(id: string, take: (file: File) => void): void {

@@ -1,8 +1,7 @@
 // The light map on the page's side: what is current, what it was before the edit, what is shown.
 
 import { DynamicDrawUsage, BufferAttribute } from 'three';
-import { apply, reach, type Frame } from './frames';
-import type { Rgb, SceneObject } from './types';
+import { apply, reach, type Frame, type Rgb, type SceneObject } from 'rebake';
 
 /** Marks elements that were not there before the edit. Estimated light may be a little below 0, never this far. */
 const NEW = -1e30;
@@ -145,6 +144,17 @@ export class LightMap {
     let sum = 0;
     for (let i = 3 * first; i < 3 * (first + count); i++) sum += this.current[i]!;
     return sum / (3 * count);
+  }
+
+  /** The mean over the elements of all objects: a measure of how bright things are. */
+  meanOf(objects: SceneObject[]): number {
+    let [sum, count] = [0, 0];
+    for (const object of objects) {
+      if (object.elements.count === 0) continue;
+      sum += this.mean(object) * object.elements.count;
+      count += object.elements.count;
+    }
+    return count ? sum / count : 0;
   }
 
   /** The size that few changes pass: for the colour scale. */

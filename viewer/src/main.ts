@@ -1,60 +1,87 @@
 // Wires it all together: one scene at a time, followed live.
 
-import { Matrix4 } from 'three';
-import { api } from './api';
+import { isOpen, makeWorker, streamInWorker, type FromWorker, type Job, type Light, type Rgb, type Scene, type Upload } from 'rebake';
+import { client } from './api';
+import { Commands } from './commands';
+import { details } from './details';
+import { $ } from './dom';
 import { Editor } from './editor';
-import { Events } from './events';
 import { onDrop, onFile } from './files';
+import { showHistory } from './history';
+import { watchDialogs, watchKeys } from './keys';
+import type { LampKind } from './lamps';
+import { Library } from './library';
 import { LightMap } from './lightmap';
-import { attempting, banner, say } from './messages';
-import { $, details, list, make, work } from './panels';
+import { outline } from './outline';
+import { attempting, banner, say, showNumbers } from './messages';
 import { Plot } from './plot';
 import { Relighting } from './relighting';
+import { nameCameras, nameScenes, showScene } from './scene-dialog';
 import { Stage, type Picked } from './stage';
-import { authorization } from './token';
-import { isOpen, type Job, type Point, type Rgb, type Scene } from './types';
+import { ask } from './upload';
 import { Views } from './views';
-import type { FromWorker } from './worker';
+import { merge, work } from './work';
 
 const stage = new Stage($('canvas'));
 const map = new LightMap();
 const plot = new Plot($('plot'));
-const worker = new Worker(new URL('./worker.ts', import.meta.url), { type: 'module' });
-const editor = new Editor(() => scene!, () => stage.view(), {
-  before: () => {
+const worker = makeWorker();
+const editor = new Editor({
+  scene: () => scene,
+  view: () => stage.view(),
+  before() {
     map.remember();
     stage.remember();
     before = new Set(scene?.objects.map((o) => o.name));
   },
-  accepted: (job, label) => {
+  accepted(job, label) {
     say(`${label}: accepted`);
     told(job);
   },
-  changed: buttons,
+  conflict(label, again) {
+    say(`${label}: not made`);
+    void attempt(async () => {
+      await refresh();
+      banner(`Somebody else has changed the scene: “${label}” was not made. Look at what is there now.`, false, { 'Do it all the same': again, 'Leave it': () => {} });
+    });
+  },
+  waiting(labels) {
+    $('waiting').hidden = labels.length === 0;
+    $('waiting-what').textContent = `The service is away. Waiting to be made: ${labels.join(', ')}.`;
+  },
+  dropped(label, why) {
+    say(`${label}: dropped`);
+    banner(`“${label}” was dropped: ${why}`);
+    void attempt(refresh);
+  },
+  history: showHistory,
 });
 
 let scene: Scene | null = null;
 let picked: Picked | null = null;
 let version = 0;
-let events: Events | null = null;
+let events = new AbortController();
+let stopStream = () => {};
 let jobs: Job[] = [];
 /** Names of the objects before the last edit: the others have no light to compare with. */
 let before = new Set<string>();
 let shownMesh = '';
-const assets = new Map<string, string>();
+/** Accepted edits that the scene as it is shown has in it. */
+let seen = 0;
+/** Counts scenes that were opened: of two at once the later one stays. */
+let opened = 0;
+const library = new Library();
 
 /** Runs something that may fail, and says how; what the service refused may rest on an old state of the scene. */
 const attempt = (what: () => Promise<unknown>) => attempting(what, async () => scene && refresh());
 const views = new Views(() => scene, stage, map, attempt);
 const relighting = new Relighting(map);
+const commands = new Commands({ scene: () => scene, picked: () => picked, choose, stops: () => views.exposure }, editor, stage, map);
 
 // ---- scenes
 
 async function listScenes(choose?: string): Promise<void> {
-  const scenes = await api.scenes();
-  const select = $<HTMLSelectElement>('scenes');
-  select.replaceChildren(...scenes.map((s) => make('option', { value: s.id }, s.name || s.id)));
-  if (scenes.length === 0) select.append(make('option', { value: '' }, 'none yet'));
+  const scenes = await nameScenes(scene?.id);
   const wanted = choose ?? location.hash.slice(1);
   const found = scenes.find((s) => s.id === wanted) ?? scenes[0];
   if (found) await open(found.id);
@@ -62,8 +89,8 @@ async function listScenes(choose?: string): Promise<void> {
 }
 
 function leave(): void {
-  worker.postMessage(null);
-  events?.close();
+  stopStream();
+  events.abort();
   [scene, picked, jobs, shownMesh] = [null, null, [], ''];
   map.clear();
   stage.clear();
@@ -81,26 +108,31 @@ function leave(): void {
 
 async function open(id: string): Promise<void> {
   leave();
-  let found = await api.scene(id);
-  for (; found.state === 'preparing'; found = await api.scene(id)) {
-    say('Laying out its elements …');
-    await new Promise((done) => setTimeout(done, 250));
-  }
+  const mine = ++opened;
+  say('Laying out its elements …');
+  const found = await client.prepared(id);
+  if (mine !== opened) return;
   scene = found;
+  seen = scene.accepted_edits;
   location.hash = id;
   $<HTMLSelectElement>('scenes').value = id;
   $('welcome').hidden = true;
   version = 0;
   await showMesh();
-  const cameras = $<HTMLSelectElement>('cameras');
-  const option = (value: string, text: string) => make('option', { value }, text);
-  cameras.replaceChildren(option('', 'overview'), ...scene.cameras.map((c) => option(String(c.index), c.name)));
-  cameras.value = scene.cameras.length ? '0' : '';
+  nameCameras(scene);
   useCamera();
-  worker.postMessage({ url: api.deltas(id), headers: authorization() });
-  jobs = await api.jobs(id);
-  listen(id);
+  stopStream = streamInWorker(worker, client, id, streamed);
+  jobs = await client.jobs(id);
+  void listen(id);
+  await editor.refresh();
   panels();
+  if (scene?.lights.length === 0) offerLight();
+}
+
+/** Nothing shines: the way out is one button away. */
+function offerLight(): void {
+  const add = (kind: LampKind) => () => void attempt(() => commands.addLight(kind));
+  banner('There is no light in this scene.', true, { 'Add a sky': add('sky'), 'Add a lamp': add('point'), 'Leave it dark': () => {} });
 }
 
 /** Fetches the mesh where its elements changed since. */
@@ -111,7 +143,7 @@ async function showMesh(): Promise<void> {
     return;
   }
   const of = scene!.id;
-  const file = await api.mesh(of);
+  const file = await client.lightMap(of, { format: 'glb' });
   if (scene?.id !== of) return;
   shownMesh = key;
   await stage.show(file, scene, map);
@@ -123,71 +155,73 @@ async function showMesh(): Promise<void> {
 async function refresh(): Promise<void> {
   if (!scene) return;
   const id = scene.id;
-  const now = await api.scene(id);
+  const now = await client.scene(id);
   if (scene?.id !== id) return;
+  // It may have been asked before the answer to an edit that came meanwhile.
+  const { accepted_edits } = now;
+  now.accepted_edits = Math.max(now.accepted_edits, scene.accepted_edits);
+  const wasLit = scene.lights.length > 0;
   scene = now;
   const gone = picked && ![...now.objects, ...now.lights].some((x) => x.name === picked!.name);
   if (gone) picked = null;
   await showMesh();
+  seen = accepted_edits;
   stage.select(picked);
   panels();
   // The layers' weights may be new.
   views.refresh();
   settle();
   prepare();
+  await editor.refresh();
+  if (wasLit && now.lights.length === 0) offerLight();
 }
 
 // ---- what the service tells
 
-function listen(id: string): void {
-  events = new Events(api.events(id), {
-    job: told,
-    scene: (data) => {
-      if (data.what === 'deleted') void attempt(() => listScenes());
-      else void attempt(refresh);
-    },
-    snapshot: (data) => {
-      if (scene) scene.estimated_rmse = data.estimated_rmse;
-      if (scene && data.elements_version > scene.elements_version) void attempt(refresh);
-    },
-    reset: () => void attempt(async () => ((jobs = await api.jobs(id)), refresh())),
-  });
+async function listen(id: string): Promise<void> {
+  events = new AbortController();
+  const { signal } = events;
+  for await (const { type, data } of client.events(id, signal)) {
+    if (signal.aborted) return;
+    if (type === 'job') told(data);
+    else if (type === 'scene' && data.what === 'deleted') void attempt(() => listScenes());
+    else if (type === 'scene') void attempt(refresh);
+    else if (type === 'reset') void attempt(async () => ((jobs = await client.jobs(id)), refresh()));
+    else if (type === 'snapshot' && scene) {
+      scene.estimated_rmse = data.estimated_rmse;
+      if (data.elements_version > scene.elements_version) void attempt(refresh);
+    }
+  }
 }
 
 function told(job: Job): void {
-  const at = jobs.findIndex((j) => j.id === job.id);
-  // An answer to a request may come after an event that is newer than it.
-  const rank = { queued: 0, paused: 0, running: 1, succeeded: 2, failed: 2, canceled: 2 };
-  if (at < 0) jobs.unshift(job);
-  else if (rank[job.state] >= rank[jobs[at]!.state] || (job.state === 'paused' && rank[jobs[at]!.state] < 2)) jobs[at] = job;
+  jobs = merge(jobs, job);
   const { estimated_rmse, elapsed_ms } = job.progress;
-  if (estimated_rmse !== null) plot.add(job.id, elapsed_ms / 1000, estimated_rmse);
+  if (typeof estimated_rmse === 'number') plot.add(job.id, elapsed_ms / 1000, estimated_rmse);
   if (job.state === 'failed') banner(`The job failed: ${job.error}`);
-  if (scene && rank[job.state] === 2) scene.estimated_rmse = estimated_rmse ?? scene.estimated_rmse;
+  if (scene && !isOpen(job)) scene.estimated_rmse = estimated_rmse ?? scene.estimated_rmse;
   panelsOfWork();
   // Layers and their weights are those of the newest version.
-  if (scene && rank[job.state] === 2) void attempt(refresh);
+  if (scene && !isOpen(job)) void attempt(refresh);
   settle();
 }
 
 /** Once the service's map has all that was relit, it counts and not what the page worked out. */
 function settle(): void {
-  const isOver = jobs.every((job) => !isOpen(job) && (job.progress.version ?? 0) <= version);
-  if (isOver && !dragged) relighting.rest();
+  if (!dragged && jobs.every((job) => !isOpen(job) && (job.progress.version ?? 0) <= version)) relighting.rest();
 }
 
 let isLost = false;
-
 /** After a lost connection: what happened meanwhile. The light map's stream resumes by itself. */
 async function caughtUp(): Promise<void> {
   if (!scene) return;
-  events?.close();
-  jobs = await api.jobs(scene.id);
-  listen(scene.id);
+  events.abort();
+  jobs = await client.jobs(scene.id);
+  void listen(scene.id);
   await refresh();
 }
 
-worker.onmessage = ({ data }: MessageEvent<FromWorker>) => {
+function streamed(data: FromWorker): void {
   switch (data.type) {
     case 'snapshot': {
       version = data.version;
@@ -210,22 +244,24 @@ worker.onmessage = ({ data }: MessageEvent<FromWorker>) => {
       say('Not connected');
       break;
     case 'online':
-      if (isLost) void attempt(caughtUp);
+      if (isLost) {
+        banner(null);
+        void attempt(caughtUp).then(() => editor.resume());
+      }
       isLost = false;
-      banner(null);
       say('Connected');
       break;
     case 'gone':
-      say('This scene is gone');
       banner('The service no longer has this scene: it was deleted, or the service was started anew. Upload it again.');
       void listScenes().catch(() => {});
+      break;
+    case 'failed': banner(data.why);
   }
-};
+}
 
 function useCamera(): void {
   const camera = scene?.cameras[Number($<HTMLSelectElement>('cameras').value || -1)];
-  if (camera) stage.use(camera);
-  else stage.overview();
+  camera ? stage.use(camera) : stage.overview();
 }
 
 // ---- editing
@@ -237,155 +273,130 @@ function choose(next: Picked | null): void {
   prepare();
 }
 
-const object = () => scene?.objects.find((o) => picked?.kind === 'object' && o.name === picked.name);
-const light = () =>
-  scene?.lights.find((l) => (picked?.kind === 'light' ? l.name === picked.name : l.object === picked?.name));
-
-function remove(): void {
-  const [o, l] = [object(), light()];
-  if (o) void attempt(() => editor.remove(o, stage.group(o.name)!));
-  else if (l) void attempt(() => editor.removeLight(l));
-}
-
 /** Has the layer of the selected light at hand, for its sliders. */
 function prepare(): void {
-  const [at, l] = [scene, light()];
+  const [at, l] = [scene, commands.light];
   if (at && l) void attempt(() => relighting.prepare(at, l));
 }
 
-let dragged: { from: ReturnType<typeof light>; next: [Rgb, number] | null; busy: boolean } | null = null;
+/** A slider is in the hand: the light before it. */
+let dragged: Light | undefined;
 
-/** Sends the newest position of a slider, one request at a time: what is in between is skipped. */
+/** Shows a position of a slider where the page can work it out; sends it where the slider rests: one step of undo. */
 function relight(color: Rgb, intensity: number, done: boolean): void {
-  dragged ??= { from: structuredClone(light()), next: null, busy: false };
-  if (scene && dragged.from && views.isMap && relighting.show(scene, dragged.from, version, color, intensity)) stage.invalidate();
-  const drag = dragged;
-  drag.next = [color, intensity];
-  if (done) dragged = null;
-  if (drag.busy || !drag.from) return;
-  drag.busy = true;
+  dragged ??= structuredClone(commands.light);
+  const from = dragged;
+  if (!scene || !from) return;
+  if (views.isMap && relighting.show(scene, from, version, color, intensity)) stage.invalidate();
+  if (!done) return;
+  dragged = undefined;
   void attempt(async () => {
-    try {
-      while (drag.next) {
-        const [c, i] = drag.next;
-        drag.next = null;
-        await editor.relight(drag.from!, c, i);
-      }
-    } finally {
-      drag.busy = false;
-    }
+    if (!(await commands.relight(from, color, intensity))) relighting.rest();
   });
 }
 
 stage.onPick = choose;
 stage.onCamera = () => scene && views.isPicture && views.refresh();
-stage.onMoved = (_, delta) => move(delta);
-function move(delta: Matrix4): void {
-  const [o, l] = [object(), light()];
-  if (o) void attempt(() => editor.move(o, delta));
-  else if (l?.position) {
-    const e = delta.elements;
-    const [x, y, z] = l.position;
-    void attempt(() => editor.moveLight(l, [x + e[12]!, y + e[13]!, z + e[14]!] as Point));
-  }
-}
+stage.onMoved = (_, delta) => void attempt(() => commands.move(delta));
 
-async function upload(file: File): Promise<void> {
+async function upload(file: File, settings: Upload | null): Promise<void> {
+  if (!settings) return;
   say(`Uploading ${file.name}…`);
-  const created = await api.upload(file, file.name.replace(/\.glb$/i, ''));
-  if (created.warnings.length) banner(created.warnings.join('; '), true);
+  const created = await client.upload(file, settings);
   await listScenes(created.id);
+  if (created.warnings.length && scene?.lights.length) banner(created.warnings.join('; '), true, { 'All right': () => {} });
 }
 
 async function addAsset(file: File): Promise<void> {
-  const name = file.name.replace(/\.glb$/i, '');
-  assets.set(name, await api.asset(file));
-  say(`${name} is in the library: click it to put it into the scene`);
+  say(`${await library.add(file)} is in the library: choose it to put it into the scene`);
   panels();
 }
 
 // ---- the page
 
-function buttons(): void {
-  for (const [id, label] of [['undo', editor.canUndo], ['redo', editor.canRedo]] as const) {
-    $<HTMLButtonElement>(id).disabled = !label;
-    $(id).title = label ? `${id}: ${label}` : `nothing to ${id}`;
-  }
-}
-
 function panels(): void {
-  const chosen = (kind: string) => (picked?.kind === kind ? picked.name : null);
-  list('objects', scene?.objects.map((o) => o.name) ?? [], chosen('object'), (name) => choose({ kind: 'object', name }));
-  list('lights', scene?.lights.map((l) => l.name) ?? [], chosen('light'), (name) => choose({ kind: 'light', name }));
-  list('assets', [...assets.keys()], null, (name) => {
-    if (scene) void attempt(() => editor.insert(assets.get(name)!, name, stage.view().target));
-  });
+  outline(scene, picked, choose);
+  library.show((asset, name) => void attempt(() => commands.insert(asset, name)));
   views.offer(scene);
   details(scene, picked, {
-    remove,
-    relight,
+    remove: () => void attempt(() => commands.remove()),
+    duplicate: () => void attempt(() => commands.duplicate()),
+    hide: (is) => void attempt(() => commands.hide(is)),
+    toFloor: () => void attempt(() => commands.toFloor()),
+    move: (by) => void attempt(() => commands.move(by)),
+    aim: (direction) => void attempt(() => commands.aim(direction)),
     frame: () => stage.frameSelected(),
-    move: (by) => move(new Matrix4().makeTranslation(...by)),
-    paint: (albedo, done) => {
-      const o = object();
-      if (!o) return;
-      stage.paint(o.name, albedo);
-      if (done) void attempt(() => editor.paint(o, albedo));
+    relight,
+    paint(albedo, done) {
+      if (commands.object) stage.paint(commands.object.name, albedo);
+      if (done) void attempt(() => commands.paint(albedo));
     },
   });
-  $<HTMLButtonElement>('add-light').disabled = !scene;
+  for (const id of ['add-light', 'scene-more', 'add-asset']) $<HTMLButtonElement | HTMLSelectElement>(id).disabled = !scene;
   panelsOfWork();
 }
 
 function panelsOfWork(): void {
-  work(jobs, scene?.estimated_rmse ?? null, (job) => void attempt(() => api.cancel(job.id)));
+  work(jobs, scene, {
+    cancel: (job) => void attempt(() => client.cancel(job.id)),
+    pause: (job) => void attempt(async () => told(await client.pause(job.id))),
+    resume: (job) => void attempt(async () => told(await client.resume(job.id))),
+    light: () => void attempt(() => commands.lightRest()),
+  });
 }
 
-function keys(event: KeyboardEvent): void {
-  const target = event.target;
-  // Lists of choices and numbers take letters and digits themselves; sliders and boxes do not.
-  if (target instanceof HTMLSelectElement || (target instanceof HTMLInputElement && target.type === 'number')) return;
-  const control = event.ctrlKey || event.metaKey;
-  const choices = [...$<HTMLSelectElement>('view').options].map((o) => o.value);
-  const key = event.key.toLowerCase();
-  if (control && key === 'z') void attempt(() => (event.shiftKey ? editor.redo() : editor.undo()));
-  else if (control && key === 'y') void attempt(() => editor.redo());
-  else if (control) return;
-  else if (key === 'delete') remove();
-  else if (key === 'escape') choose(null);
-  else if (key === 's') views.split(!stage.split);
-  else if (key === 'f') stage.frameSelected();
-  else if (key === '[' || key === ']') views.expose(views.exposure + (key === '[' ? -0.5 : 0.5));
-  else if (choices[Number(key) - 1]) views.set(choices[Number(key) - 1]!);
-  else return;
-  event.preventDefault();
+/** How the gizmo drags, and in which steps. */
+function gizmo(mode = $<HTMLSelectElement>('gizmo').value): void {
+  $<HTMLSelectElement>('gizmo').value = mode;
+  stage.gizmoDoes(mode as 'translate' | 'rotate' | 'scale', Number($<HTMLSelectElement>('grid').value));
 }
 
-onFile('file', (file) => attempt(() => upload(file)));
+watchDialogs();
+watchKeys({
+  undo: () => void attempt(editor.undo),
+  redo: () => void attempt(editor.redo),
+  remove: () => void attempt(() => commands.remove()),
+  duplicate: () => void attempt(() => commands.duplicate()),
+  hide: () => void attempt(() => commands.hide()),
+  toFloor: () => void attempt(() => commands.toFloor()),
+  letGo: () => choose(null),
+  split: () => views.split(!stage.split),
+  frame: () => stage.frameSelected(),
+  search: () => $('search').focus(),
+  gizmo,
+  expose: (by) => views.expose(views.exposure + by),
+  view: (index) => views.set($<HTMLSelectElement>('view').options[index]?.value ?? views.current),
+});
+onFile('file', (file) => attempt(async () => upload(file, await ask(file))));
 onFile('asset-file', (file) => attempt(() => addAsset(file)));
 $('upload').addEventListener('click', () => $('file').click());
 $('add-asset').addEventListener('click', () => $('asset-file').click());
-$('add-light').addEventListener('click', () => {
-  const size = Math.max(...scene!.objects.flatMap((o) => o.bounds.max.map((x, k) => x - o.bounds.min[k]!)), 1);
-  const [x, y, z] = stage.view().target;
-  void attempt(async () => choose({ kind: 'light', name: await editor.addLight([x, y + size / 10, z], size * size) }));
+$('add-light').addEventListener('change', ({ target }) => {
+  const select = target as HTMLSelectElement;
+  const kind = select.value as LampKind | '';
+  select.value = '';
+  if (kind) void attempt(() => commands.addLight(kind));
 });
-$('undo').addEventListener('click', () => void attempt(() => editor.undo()));
-$('redo').addEventListener('click', () => void attempt(() => editor.redo()));
+$('scene-more').addEventListener('click', () => {
+  const deleted = () => void listScenes();
+  const renamed = (now: Scene) => void attempt(async () => ((scene = now), await nameScenes(now.id)));
+  if (scene) showScene(scene, { renamed, deleted, attempt });
+});
+$('search').addEventListener('input', panels);
+for (const id of ['gizmo', 'grid']) $(id).addEventListener('change', () => gizmo());
+$('waiting-drop').addEventListener('click', () => editor.dropAll());
+$('undo').addEventListener('click', () => void attempt(editor.undo));
+$('redo').addEventListener('click', () => void attempt(editor.redo));
 $('scenes').addEventListener('change', ({ target }) => void attempt(() => open((target as HTMLSelectElement).value)));
 $('view').addEventListener('change', ({ target }) => views.set((target as HTMLSelectElement).value));
 $('split').addEventListener('change', ({ target }) => views.split((target as HTMLInputElement).checked));
 $('cameras').addEventListener('change', useCamera);
 $('exposure').addEventListener('input', ({ target }) => views.expose(Number((target as HTMLInputElement).value)));
-document.addEventListener('keydown', keys);
-onDrop((file) => attempt(() => upload(file)));
-setInterval(() => {
-  const { mesh, stream } = $('numbers').dataset;
-  $('numbers').textContent = [mesh, stream, stage.frameMs ? `frame ${stage.frameMs.toFixed(0)} ms` : ''].filter(Boolean).join(' · ');
-}, 500);
+onDrop((file) => attempt(async () => upload(file, await ask(file))));
+showNumbers(() => stage.frameMs);
 // For the console and for tests.
-Object.assign(window, { rebake: { stage, map, relighting, api, state: () => ({ scene, version, jobs, exposure: views.exposure, view: views.current }) } });
+Object.assign(window, { rebake: { stage, map, relighting, client, state: () => ({ scene, version, jobs, fresh: seen >= (scene?.accepted_edits ?? 0), exposure: views.exposure, view: views.current }) } });
 
-buttons();
+showHistory(null);
 panels();
 void attempt(() => listScenes());

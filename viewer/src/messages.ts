@@ -1,17 +1,23 @@
 // What the page says: one line of status, and a banner for what a person has to know.
 
-import { Refused } from './api';
-import { $ } from './panels';
+import { Refused } from 'rebake';
+import { $, button } from './dom';
 
 export function say(text: string): void {
   $('status').textContent = text;
 }
 
-/** A message that stays until it no longer holds. */
-export function banner(text: string | null, calm = false): void {
+/** A message that stays until it no longer holds, with what can be done about it. */
+export function banner(text: string | null, calm = false, actions: Record<string, () => void> = {}): void {
   $('banner').hidden = text === null;
   $('banner').classList.toggle('calm', calm);
-  $('banner').textContent = text ?? '';
+  const buttons = Object.entries(actions).map(([name, action]) =>
+    button(name, () => {
+      banner(null);
+      action();
+    }),
+  );
+  $('banner').replaceChildren(text ?? '', ...buttons);
 }
 
 let timer = 0;
@@ -28,4 +34,13 @@ export async function attempting(what: () => Promise<unknown>, refused: () => Pr
     timer = window.setTimeout(() => $('banner').textContent === text && banner(null), 8000);
     if (error instanceof Refused && error.status !== 404) await refused().catch(() => {});
   }
+}
+
+/** Keeps what the page measures in its last line. */
+export function showNumbers(frameMs: () => number): void {
+  setInterval(() => {
+    const { mesh, stream } = $('numbers').dataset;
+    const frame = frameMs() ? `frame ${frameMs().toFixed(0)} ms` : '';
+    $('numbers').textContent = [mesh, stream, frame].filter(Boolean).join(' · ');
+  }, 500);
 }

@@ -1,10 +1,9 @@
 // A light's new strength, shown before the service answers: where the light has a layer of its own, the map changes by
 // the difference of weights times that layer, which is the same sum that the service makes.
 
-import { api } from './api';
-import { FrameReader, apply, reach } from './frames';
+import { apply, reach, readFrames, type Light, type Rgb, type Scene, type SceneLayer } from 'rebake';
+import { client } from './api';
 import type { LightMap } from './lightmap';
-import type { Light, Rgb, Scene, SceneLayer } from './types';
 
 export class Relighting {
   /** The layer of the light that is selected, as of a version. */
@@ -24,8 +23,7 @@ export class Relighting {
     const layer = own(scene, light);
     if (!layer || this.drag) return;
     if (this.held?.scene !== scene.id || this.held.name !== layer.name) this.held = null;
-    const file = await api.layerDelta(scene.id, layer.name, this.held?.version ?? 0);
-    const frames = new FrameReader().push(new Uint8Array(file));
+    const frames = readFrames(await client.deltas(scene.id, this.held?.version ?? 0, { layer: layer.name }));
     let values = this.held?.values ?? new Float32Array();
     const elements = Math.max(values.length / 3, ...frames.map(reach));
     if (3 * elements > values.length) {

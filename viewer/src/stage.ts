@@ -5,12 +5,14 @@ import {
   Object3D, PerspectiveCamera, Raycaster, Scene as ThreeScene, ShaderMaterial, SphereGeometry, Vector2, Vector3,
   WebGLRenderer,
 } from 'three';
+import type { Camera, Light, Point, Scene, SceneObject } from 'rebake';
 import { OrbitControls } from 'three/examples/jsm/controls/OrbitControls.js';
 import { TransformControls } from 'three/examples/jsm/controls/TransformControls.js';
 import { GLTFLoader } from 'three/examples/jsm/loaders/GLTFLoader.js';
 import type { LightMap } from './lightmap';
 import { shared, surface } from './material';
-import type { Camera, Light, Point, Scene, SceneObject, View } from './types';
+import { rise } from './rays';
+import type { View } from './api';
 
 export interface Picked {
   kind: 'object' | 'light';
@@ -176,10 +178,33 @@ export class Stage {
     this.invalidate();
   }
 
-  /** Stands where a camera of the file stands. */
+  /** What dragging the gizmo does, and in which steps (0: none): metres, and 15 degrees with any. */
+  gizmoDoes(mode: 'translate' | 'rotate' | 'scale', grid: number): void {
+    this.gizmo.setMode(mode);
+    this.gizmo.setTranslationSnap(grid || null);
+    this.gizmo.setRotationSnap(grid ? Math.PI / 12 : null);
+    this.gizmo.setScaleSnap(grid ? 0.1 : null);
+    this.invalidate();
+  }
+
+  /** By how much an object has to rise to stand on what is below it; null where nothing is. */
+  dropOf(name: string): number | null {
+    const own = this.objects.get(name);
+    const others = [...this.objects].filter(([other]) => other !== name).map(([, group]) => group);
+    return own ? rise(own, others) : null;
+  }
+
+  /** The point of a surface in the middle of the view; where there is none, what the camera turns about. */
+  ahead(): Point {
+    const ray = new Raycaster();
+    ray.setFromCamera(new Vector2(0, 0), this.camera);
+    const [hit] = ray.intersectObjects([...this.objects.values()], true);
+    return (hit?.point ?? this.orbit.target).toArray() as Point;
+  }
+
+  /** Stands where a camera of the file stands, with the horizon level. */
   use(camera: Camera): void {
     this.camera.fov = (camera.fov_y * 180) / Math.PI;
-    this.camera.up.fromArray(camera.up);
     this.camera.position.fromArray(camera.eye);
     const center = this.bounds().getCenter(new Vector3());
     const ahead = new Vector3().fromArray(camera.target).sub(this.camera.position).normalize();
@@ -194,16 +219,21 @@ export class Stage {
     const bounds = this.bounds();
     const radius = bounds.getSize(new Vector3()).length() / 2 || 1;
     this.camera.fov = 45;
-    this.camera.up.set(0, 1, 0);
     bounds.getCenter(this.orbit.target);
     this.camera.position.copy(this.orbit.target).addScaledVector(new Vector3(0.5, 0.55, 0.75), radius * 2.2);
     this.settle();
   }
 
-  /** Turns to the selected. */
+  /** Turns to the selected, from where it fills most of the view. */
   frameSelected(): void {
-    if (!this.selected) return;
+    const shown = this.selected && (this.objects.get(this.selected.name) ?? this.markers.get(this.selected.name));
+    if (!shown) return;
+    const size = new Box3().setFromObject(shown).getSize(new Vector3()).length() / 2;
+    const least = this.bounds().getSize(new Vector3()).length() / 12;
+    const half = (Math.min(this.camera.fov, this.camera.fov * this.camera.aspect) * Math.PI) / 360;
+    const back = this.camera.position.clone().sub(this.orbit.target).normalize();
     this.orbit.target.copy(this.pivot.position);
+    this.camera.position.copy(this.pivot.position).addScaledVector(back, (1.25 * Math.max(size, least)) / Math.sin(half));
     this.settle();
   }
 
@@ -224,11 +254,6 @@ export class Stage {
   project(point: Point): [number, number] {
     const p = new Vector3().fromArray(point).project(this.camera);
     return [(p.x + 1) / 2, (1 - p.y) / 2];
-  }
-
-  /** World-space geometry of an object, as a group to be written to a file. */
-  group(name: string): Group | undefined {
-    return this.objects.get(name);
   }
 
   private materials(name: string): ShaderMaterial[] {

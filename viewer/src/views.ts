@@ -1,12 +1,11 @@
 // What is looked at, and how: parts of the light, layers, the service's own pictures, exposure, the split.
 
-import { api } from './api';
-import { FrameReader } from './frames';
+import { readFrames, type Scene } from 'rebake';
+import { client, pictures } from './api';
 import type { LightMap } from './lightmap';
 import { shared } from './material';
-import { $, make } from './panels';
+import { $, make } from './dom';
 import type { Stage } from './stage';
-import type { Scene } from './types';
 
 /** Views of one layer are called after it. */
 const LAYER = 'layer ';
@@ -102,10 +101,10 @@ export class Views {
     const name = view.startsWith(LAYER) ? view.slice(LAYER.length) : null;
     const layer = scene.layers.find((layer) => layer.name === name);
     if (name !== null && !layer) return;
-    const file = await api.layer(scene.id, name === null ? view : `"${name}"`);
+    const file = await client.lightMap(scene.id, { format: 'raw', layer: name === null ? view : `"${name}"` });
     if (request !== this.request) return;
     // As bright as it is in the map, not at unit emission.
-    this.map.showLayer(new FrameReader().push(new Uint8Array(file)), layer?.weight);
+    this.map.showLayer(readFrames(file), layer?.weight);
     this.stage.invalidate();
   }
 
@@ -115,8 +114,8 @@ export class Views {
     try {
       // A stated error has no noise; light has, and gets better while one looks.
       const [kind, spp] = this.current === 'error' ? ['error', 4] as const : ['full', 16] as const;
-      const pictures = api.pictures(this.scene()!.id, kind, this.stage.view(), this.exposure, spp, mine.signal);
-      for await (const { blob, samples } of pictures) {
+      const better = pictures(this.scene()!.id, kind, this.stage.view(), this.exposure, spp, mine.signal);
+      for await (const { blob, samples } of better) {
         if (this.picture !== mine) return;
         const image = $<HTMLImageElement>('picture');
         URL.revokeObjectURL(image.src);

@@ -132,7 +132,7 @@ try {
 
   // Every value changes: one snapshot of the whole map, decoded by the worker, copied and uploaded by the page.
   const relit = await page.evaluate(async () => {
-    const { api, map, stage, state } = window.rebake;
+    const { client, map, stage, state } = window.rebake;
     const { scene, version } = state();
     const light = scene.lights[0];
     let [applied, most, last, arrived] = [0, 0, performance.now(), 0];
@@ -145,7 +145,7 @@ try {
       return grown;
     };
     const start = performance.now();
-    await api.edit(scene.id, [{ op: 'relight', lights: [{ light: light.name, intensity: light.intensity * 0.5 }] }], stage.view());
+    await client.edit(scene.id, { op: 'relight', lights: [{ light: light.name, intensity: light.intensity * 0.5 }] }, { focus: stage.view() });
     while (state().version === version || performance.now() < arrived + 300) {
       const now = await new Promise((done) => requestAnimationFrame(done));
       most = Math.max(most, now - last);

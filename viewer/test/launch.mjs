@@ -12,6 +12,10 @@ const FLAGS = [
   '--disable-component-update', '--disable-sync', '--use-gl=angle', '--use-angle=swiftshader',
   '--enable-unsafe-swiftshader',
 ];
+/** The policy that the service sends with the page. */
+const POLICY = /const POLICY: &str = "([^"]*)"/
+  .exec(await readFile(new URL('../../service/src/viewer.rs', import.meta.url), 'utf8'))[1]
+  .replaceAll(/\\\n\s*/g, '');
 const KINDS = { html: 'text/html', js: 'text/javascript', css: 'text/css' };
 
 /** An empty page, and what ends the browser. */
@@ -29,7 +33,8 @@ export async function launch(base, viewport) {
       async (route) => {
         const name = new URL(route.request().url()).pathname.slice(1) || 'index.html';
         const body = await readFile(join(process.env.PAGE_DIR, name));
-        await route.fulfill({ body, contentType: KINDS[name.split('.').at(-1)] });
+        const contentType = KINDS[name.split('.').at(-1)];
+        await route.fulfill({ body, contentType, headers: { 'content-security-policy': POLICY } });
       },
     );
   }

@@ -1,0 +1,227 @@
+// What a level artist does all day: place, copy, light, take back, and not lose work.
+
+import { patch } from './pictures.mjs';
+
+export async function checkTools(about) {
+  await numbers(about);
+  await copies(about);
+  await lamps(about);
+  await lists(about);
+  await away(about);
+  await others(about);
+  await history(about);
+}
+
+const close = (a, b, within = 2e-3) => Math.abs(a - b) < within;
+const extent = ({ bounds: { min, max } }) => min.map((low, k) => max[k] - low);
+const middle = ({ bounds: { min, max } }) => min.map((low, k) => (low + max[k]) / 2);
+
+/** An object of the scene as the page knows it. */
+const found = async ({ state }, name) => (await state()).scene.objects.find((o) => o.name === name);
+
+async function undo({ page, state, settled }, times = 1) {
+  for (let k = 0; k < times; k++) {
+    const { scene } = await state();
+    await page.locator('#undo').click();
+    await page.waitForFunction((n) => window.rebake.state().scene.accepted_edits > n, scene.accepted_edits);
+    await page.waitForFunction(() => window.rebake.state().fresh);
+  }
+  await settled();
+}
+
+/** Types a number into a field, and waits until an object is otherwise. */
+async function type({ page, objectName, settled, state }, label, value) {
+  const before = JSON.stringify((await found({ state }, objectName)).transform);
+  await page.getByLabel(label).fill(String(value));
+  await page.keyboard.press('Enter');
+  await page.waitForFunction(([n, t]) => JSON.stringify(window.rebake.state().scene.objects.find((o) => o.name === n).transform) !== t, [objectName, before]);
+  await settled();
+}
+
+async function numbers(about) {
+  const { page, check, choose, objectName, project } = about;
+  await choose('objects', objectName);
+  const was = await found(about, objectName);
+  await type(about, 'Rotation y, degrees', 90);
+  const turned = await found(about, objectName);
+  check(close(extent(turned)[0], extent(was)[2]) && close(middle(turned)[0], middle(was)[0]), 'an object is turned by numbers, about its middle');
+  await type(about, 'Scale y, factor', 1.5);
+  const grown = await found(about, objectName);
+  check(close(extent(grown)[1], 1.5 * extent(was)[1]) && close(middle(grown)[2], middle(was)[2]), 'and scaled');
+  await undo(about, 2);
+  check((await found(about, objectName)).transform.every((x, k) => close(x, was.transform[k], 1e-6)), 'and both are taken back');
+  await page.locator('#canvas').focus();
+  await page.keyboard.press('f');
+  const at = await project(middle(was));
+  check(close(at[0], 0.5, 0.02) && close(at[1], 0.5, 0.02), 'F turns to the selected');
+  const up = await page.evaluate(() => window.rebake.stage.view().up);
+  check(up[0] === 0 && up[1] === 1 && up[2] === 0, 'the horizon is level');
+  await about.shot('20-framed');
+  await page.selectOption('#cameras', '');
+  await page.selectOption('#cameras', '0');
+}
+
+async function copies(about) {
+  const { page, check, settled, objectName, state } = about;
+  await page.locator('#canvas').focus();
+  await page.keyboard.press('Control+d');
+  const copy = `${objectName}-2`;
+  await page.waitForFunction((n) => window.rebake.state().scene.objects.some((o) => o.name === n), copy);
+  const [one, two] = [await found(about, objectName), await found(about, copy)];
+  check(extent(one).every((x, k) => close(x, extent(two)[k])) && two.bounds.min[0] > one.bounds.max[0], 'a copy stands beside it');
+  await page.waitForFunction((n) => document.querySelector('#details strong')?.textContent === n, copy);
+  await page.locator('#canvas').focus();
+  await settled();
+  await page.keyboard.press('End');
+  await page.waitForFunction((n) => Math.abs(window.rebake.state().scene.objects.find((o) => o.name === n).bounds.min[1]) < 1e-3, copy);
+  check(true, 'and is put onto the floor by a key');
+  const hide = page.locator('#details button', { hasText: 'Hide' });
+  await hide.click();
+  await page.waitForFunction((n) => window.rebake.state().scene.objects.find((o) => o.name === n).hidden, copy);
+  await settled();
+  check((await page.locator(`#objects [data-name="${copy}"]`).textContent()).includes('hidden'), 'what is hidden says so in the list');
+  await about.shot('21-hidden');
+  await undo(about, 3);
+  check(!(await state()).scene.objects.some((o) => o.name === copy), 'all of it is taken back');
+}
+
+async function lamps(about) {
+  const { page, check, settled, state, canvas, shot } = about;
+  const mean = () => page.evaluate(() => window.rebake.map.meanOf(window.rebake.state().scene.objects));
+  const before = await mean();
+  for (const kind of ['point', 'spot', 'directional', 'area', 'sky']) {
+    const { scene } = await state();
+    await page.selectOption('#add-light', kind);
+    await page.waitForFunction((n) => window.rebake.state().scene.lights.length > n, scene.lights.length);
+    await settled();
+    const ratio = (await mean()) / before;
+    check(ratio >= 0.99 && ratio < 4, `a new lamp (${kind}) whites out nothing: the room is ${ratio.toFixed(2)} times as bright`);
+    if (kind === 'spot') {
+      await page.getByLabel('Colour, hexadecimal sRGB').fill('ff8000');
+      await page.keyboard.press('Enter');
+      await page.waitForFunction(() => Math.abs(window.rebake.state().scene.lights.find((l) => l.name === 'spot-1').color[1] - 0.2158) < 1e-3);
+      check(true, 'its colour is typed as sRGB');
+      const field = page.getByRole('spinbutton', { name: 'Intensity, cd' });
+      await field.fill('12');
+      await page.keyboard.press('Enter');
+      await page.waitForFunction(() => Math.abs(window.rebake.state().scene.lights.find((l) => l.name === 'spot-1').intensity - 12) < 1e-3);
+      check(true, 'and its intensity as a number');
+      await settled();
+      await shot('22-spot');
+      await undo(about, 2);
+    }
+    await undo(about);
+  }
+  check(patch(await canvas(), [0.5, 0.85]) > 0, 'and all are taken back');
+}
+
+async function lists(about) {
+  const { page, check, objectName, state } = about;
+  const { scene } = await state();
+  // As many as a level has: only the lists are told.
+  const many = async (route) => {
+    const answer = await route.fetch();
+    const body = await answer.json();
+    for (let k = 0; k < 500; k++) body.objects.push({ ...body.objects[0], name: `thing ${k}`, hidden: true, elements: { first: 0, count: 0 } });
+    for (let k = 0; k < 20; k++) body.lights.push({ ...body.lights[0], name: `lamp ${k}`, object: null });
+    await route.fulfill({ response: answer, json: body });
+  };
+  const path = new RegExp(`/v1/scenes/${scene.id}$`);
+  await page.route(path, many);
+  await page.reload();
+  await page.waitForFunction(() => document.querySelectorAll('#objects [role=option]').length > 500);
+  const stops = await page.evaluate(() => ['objects', 'lights'].map((id) => document.querySelectorAll(`#${id} [tabindex="0"]`).length));
+  check(stops.join() === '1,1', 'each list is one stop of the tab key');
+  const view = page.viewportSize();
+  for (const id of ['objects', 'lights', 'add-light', 'add-asset']) {
+    const box = await page.locator(`#${id}`).boundingBox();
+    check(box.y + box.height <= view.height && box.height > 20, `${id} is in view with 500 objects and 20 lights`);
+  }
+  await about.shot('23-many');
+  await page.locator('#search').fill('thing 49');
+  await page.waitForFunction(() => document.querySelectorAll('#objects [role=option]').length === 11);
+  check((await page.locator('#object-count').textContent()) === `11 of ${500 + scene.objects.length}`, 'a search leaves what fits');
+  await page.locator('#search').fill('');
+  await page.keyboard.press('Tab');
+  await page.keyboard.press('End');
+  await page.keyboard.press('Home');
+  await page.keyboard.press('ArrowDown');
+  await page.keyboard.press('Enter');
+  check((await page.evaluate(() => document.activeElement.dataset.name)) === scene.objects[1].name, 'arrows go along a list');
+  check((await page.locator('#details strong').textContent()) === scene.objects[1].name, 'and Enter selects');
+  await page.unroute(path, many);
+  await page.reload();
+  await page.waitForFunction((n) => window.rebake.state().scene?.objects.length === n && window.rebake.state().version > 0, scene.objects.length);
+  await page.locator('#exposure').fill('-0.5');
+  await about.choose('objects', objectName);
+}
+
+async function away(about) {
+  const { page, check, settled, objectName } = about;
+  await about.choose('objects', objectName);
+  const lost = (route) => route.abort();
+  await page.route('**/edits', lost);
+  await page.locator('#details button', { hasText: 'Hide' }).click();
+  await page.locator('#waiting').waitFor({ state: 'visible' });
+  check((await page.locator('#waiting-what').textContent()).includes(`hide ${objectName}`), 'an edit waits while the service is away, and says so');
+  await about.shot('24-waiting');
+  await page.unroute('**/edits', lost);
+  await page.waitForFunction((n) => window.rebake.state().scene.objects.find((o) => o.name === n).hidden, objectName);
+  await page.locator('#waiting').waitFor({ state: 'hidden' });
+  check(true, 'and is made when it is back');
+  await settled();
+  await page.route('**/edits', lost);
+  await page.locator('#details button', { hasText: 'Show' }).click();
+  await page.locator('#waiting-drop').click();
+  await page.waitForFunction(() => document.getElementById('banner').textContent.includes('was dropped'));
+  await page.unroute('**/edits', lost);
+  check((await found(about, objectName)).hidden, 'or is dropped, with a word');
+  await undo(about);
+}
+
+/** Two at one scene: an edit for what is no more is not made, and says so. */
+async function others(about) {
+  const { page, check, settled, objectName, client, scene, state } = about;
+  await about.choose('objects', objectName);
+  let release;
+  const held = new Promise((done) => (release = done));
+  const path = new RegExp(`/v1/scenes/${scene.id}$`);
+  const hold = async (route) => {
+    await held;
+    await route.continue();
+  };
+  await page.route(path, hold);
+  await client.edit(scene.id, { op: 'material', object: objectName, albedo: [0.6, 0.1, 0.1] });
+  await page.locator('#details button', { hasText: 'Hide' }).click();
+  await page.waitForFunction(() => document.getElementById('status').textContent.includes('not made'));
+  release();
+  await page.waitForFunction(() => document.getElementById('banner').textContent.includes('Somebody else has changed the scene'));
+  const now = await found(about, objectName);
+  check(!now.hidden && close(now.albedo[0], 0.6), 'an edit that meets another one is shown, and overwrites nothing');
+  await page.unroute(path, hold);
+  await about.shot('25-conflict');
+  await page.locator('#banner button', { hasText: 'Do it all the same' }).click();
+  await page.waitForFunction((n) => window.rebake.state().scene.objects.find((o) => o.name === n).hidden, objectName);
+  check((await state()).scene.accepted_edits >= 2, 'and is made when it is wanted all the same');
+  await settled();
+}
+
+async function history(about) {
+  const { page, check, objectName, settled } = about;
+  const first = await page.locator('#history li').first().textContent();
+  check(first === `hide ${objectName}`, 'the history has the newest edit on top');
+  await page.reload();
+  await page.waitForFunction(() => window.rebake.state().scene && window.rebake.state().version > 0);
+  await page.waitForFunction((text) => document.querySelector('#history li')?.textContent === text, first);
+  check((await page.locator('#undo').getAttribute('title')) === `undo: hide ${objectName}`, 'and survives a reload');
+  await settled();
+  await undo(about, 2);
+  const now = await found(about, objectName);
+  check(!now.hidden && now.albedo[0] < 0.4, 'as undo does');
+  await page.locator('#redo').click();
+  await page.waitForFunction((n) => window.rebake.state().scene.objects.find((o) => o.name === n).albedo[0] > 0.5, objectName);
+  await settled();
+  check((await page.locator('#history li').first().textContent()).includes('undone'), 'what is undone says so');
+  await about.shot('26-history');
+  await undo(about);
+}
