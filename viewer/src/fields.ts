@@ -49,7 +49,12 @@ export function slider(name: string, [min, max, step]: [number, number, number],
   range.value = String(value);
   range.addEventListener('pointerdown', () => (held = true));
   range.addEventListener('input', () => input(Number(range.value), false));
-  range.addEventListener('change', () => input(Number(range.value), true));
+  let rested = range.value;
+  range.addEventListener('change', () => {
+    if (range.value === rested) return;
+    rested = range.value;
+    input(Number(range.value), true);
+  });
   return range;
 }
 

@@ -57,7 +57,7 @@ try {
       const { scene, exposure } = state();
       const view = stage.view();
       const query = new URLSearchParams({ ...view, eye: view.eye.join(), target: view.target.join(), up: view.up.join() });
-      return `${base}/v1/scenes/${scene.id}/render?${query}&exposure=${exposure}&spp=64`;
+      return `${base}/v1/scenes/${scene.id}/render?${query}&exposure=${exposure}&spp=16`;
     }, base);
     const answer = await fetch(url, { headers: token ? { authorization: `Bearer ${token}` } : {} });
     if (!answer.ok) throw new Error(await answer.text());
@@ -87,7 +87,7 @@ try {
   await page.goto(base);
   await page.waitForFunction(() => document.getElementById('status').textContent.startsWith('Ready'));
   await shot('1-empty');
-  await upload(room);
+  await upload(room, { spacing: 0.1 });
   await page.locator('#exposure').fill('-0.5');
   const { scene } = await state();
   check(scene.objects.some((o) => o.name === objectName), 'the room is there after the upload');
@@ -116,7 +116,7 @@ try {
     // Scenes live in memory: after a restart this one is gone, and the page says so and goes on.
     await page.waitForFunction(() => document.getElementById('banner').textContent.includes('no longer has this scene'));
     await shot('12-restarted');
-    await upload(room);
+    await upload(room, { spacing: 0.1 });
     check((await state()).scene.id !== scene.id, 'after a restart of the service the page works on');
   }
   if (!wanted || wanted.includes('live')) await checkLive(about);
