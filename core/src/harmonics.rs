@@ -1,7 +1,7 @@
 //! Real spherical harmonics up to the second band: what probes and directional light maps hold.
 //!
-//! The basis is orthonormal over the sphere, without the Condon-Shortley phase, in the axes of the scene (+y is up). Its order
-//! and signs are those of `SphericalHarmonics3` of three.js, and the order of Unity's `SphericalHarmonicsL2`:
+//! The basis is orthonormal over the sphere, without the Condon-Shortley phase, in the axes of the scene (+y is up).
+//! Its order and signs are those of `SphericalHarmonics3` of three.js, and the order of Unity's `SphericalHarmonicsL2`:
 //! 1, *y*, *z*, *x*, *xy*, *yz*, 3*z*² − 1, *xz*, *x*² − *y*².
 
 use std::ops::{Add, AddAssign, Div, Mul, Sub};
@@ -11,8 +11,8 @@ use glam::Vec3;
 /// Coefficients of the bands 0, 1 and 2.
 pub const COEFFICIENTS: usize = 9;
 
-/// What the cosine leaves of each band, over π: a coefficient of radiance times this is one of irradiance / π (Ramamoorthi
-/// and Hanrahan 2001).
+/// What the cosine leaves of each band, over π: a coefficient of radiance times this is one of irradiance / π
+/// (Ramamoorthi and Hanrahan 2001).
 pub const COSINE: [f32; 3] = [1.0, 2.0 / 3.0, 0.25];
 
 /// The band of each coefficient.
@@ -36,8 +36,8 @@ pub fn basis(Vec3 { x, y, z }: Vec3) -> [f32; COEFFICIENTS] {
     ]
 }
 
-/// A function over directions by its coefficients, linear RGB: of radiance, W/(m² sr) or whatever the scene's unit is, times
-/// steradians.
+/// A function over directions by its coefficients, linear RGB: of radiance, W/(m² sr) or whatever the scene's unit is,
+/// times steradians.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Harmonics(pub [Vec3; COEFFICIENTS]);
 
@@ -53,8 +53,8 @@ impl Harmonics {
         basis(direction).iter().zip(&self.0).map(|(y, c)| *c * *y).sum()
     }
 
-    /// irradiance / π on a small surface with unit normal `n`, where the coefficients are those of radiance: what a light map
-    /// holds, as far as two bands tell it.
+    /// irradiance / π on a small surface with unit normal `n`, where the coefficients are those of radiance: what a
+    /// light map holds, as far as two bands tell it.
     pub fn irradiance(&self, n: Vec3) -> Vec3 {
         let convolved = |(band, c): (&usize, &Vec3)| *c * COSINE[*band];
         let mut coefficients = [Vec3::ZERO; COEFFICIENTS];

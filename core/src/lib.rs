@@ -11,6 +11,7 @@ mod bits;
 pub mod bvh;
 mod chunks;
 pub mod delta;
+pub mod directional;
 mod drag;
 pub mod edit;
 mod estimate;
@@ -26,6 +27,7 @@ mod memory;
 pub mod metrics;
 #[cfg(test)]
 mod module_graph;
+pub mod occlusion;
 mod order;
 pub mod paper;
 mod parts;

@@ -11,8 +11,8 @@ pub(crate) fn shares(samples: u32) -> [u32; PARTS] {
     std::array::from_fn(|k| samples / PARTS as u32 + u32::from((k as u32) < samples % PARTS as u32))
 }
 
-/// Mean of independent parts (samples, their mean), by their samples, and the standard error that their scatter tells, mean over
-/// RGB. Parts without samples do not count; of a single one the error is infinite.
+/// Mean of independent parts (samples, their mean), by their samples, and the standard error that their scatter tells,
+/// mean over RGB. Parts without samples do not count; of a single one the error is infinite.
 pub(crate) fn mean_of(parts: &[(u32, Vec3)]) -> (Vec3, f32) {
     let taken = parts.iter().filter(|(count, _)| *count > 0).count();
     let samples: u32 = parts.iter().map(|(count, _)| count).sum();

@@ -1,5 +1,5 @@
-//! Probes: the light that comes to points in space from all around, as spherical harmonics. Light straight from lights is sampled
-//! by their densities, what surfaces send is read from a light map along rays.
+//! Probes: the light that comes to points in space from all around, as spherical harmonics. Light straight from lights
+//! is sampled by their densities, what surfaces send is read from a light map along rays.
 
 #[cfg(test)]
 mod tests;
@@ -28,28 +28,28 @@ pub struct ProbeOptions {
 /// The light around a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Probe {
-    /// Incoming radiance over all directions, of all lights and surfaces and from outside; see [`crate::harmonics`] for order and
-    /// signs. Not convolved with a cosine: [`Harmonics::irradiance`] does that.
+    /// Incoming radiance over all directions, of all lights and surfaces and from outside; see [`crate::harmonics`] for
+    /// order and signs. Not convolved with a cosine: [`Harmonics::irradiance`] does that.
     pub radiance: Harmonics,
-    /// Standard error of each coefficient, mean over RGB, from the scatter of its samples: rays that end on other elements meet
-    /// other noise of the map. What all of the map has wrong alike is not in it.
+    /// Standard error of each coefficient, mean over RGB, from the scatter of its samples: rays that end on other
+    /// elements meet other noise of the map. What all of the map has wrong alike is not in it.
     pub error: [f32; COEFFICIENTS],
-    /// Share of the directions in which the point sees no back of a single-sided surface or of one that bounds a solid: 1 in the
-    /// open, 0 inside of solids. Backs send no light.
+    /// Share of the directions in which the point sees no back of a single-sided surface or of one that bounds a solid:
+    /// 1 in the open, 0 inside of solids. Backs send no light.
     pub validity: f32,
 }
 
 impl Probe {
-    /// Whether the light differs from that of an earlier probe, in some coefficient and channel, by more than the error of this
-    /// one.
+    /// Whether the light differs from that of an earlier probe, in some coefficient and channel, by more than the error
+    /// of this one.
     pub fn differs_from(&self, earlier: &Probe) -> bool {
         let differences = (self.radiance - earlier.radiance).0;
         differences.iter().zip(&self.error).any(|(difference, error)| difference.abs().max_element() > *error)
     }
 }
 
-/// Probes at points (world space, metres) of a scene with this light map. The same inputs and seed give the same bits on any
-/// number of threads.
+/// Probes at points (world space, metres) of a scene with this light map. The same inputs and seed give the same bits
+/// on any number of threads.
 ///
 /// # Errors
 /// [`Canceled`] where the observer says so; it is asked once per probe.

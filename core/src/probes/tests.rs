@@ -40,7 +40,8 @@ fn places(count: u32) -> Vec<DVec3> {
     (0..count).map(place).collect()
 }
 
-/// Asserts that the mean over many probes of each coefficient (band 0 and 1 at least) is `expected`, by their own errors.
+/// Asserts that the mean over many probes of each coefficient (band 0 and 1 at least) is `expected`, by their own
+/// errors.
 fn assert_mean(probes: &[Probe], expected: [f32; COEFFICIENTS]) {
     for (k, expected) in expected.into_iter().enumerate() {
         let sum: f32 = probes.iter().map(|probe| probe.radiance.0[k].x - expected).sum();
@@ -82,7 +83,8 @@ fn a_wall_leaves_half_of_the_sky() {
     assert!((behind[0].validity - 0.5).abs() < 0.05, "{:?}", behind[0]);
 }
 
-/// In a closed room whose walls shine and reflect alike, radiance is E / (1 − ρ) in every direction, also right at a wall.
+/// In a closed room whose walls shine and reflect alike, radiance is E / (1 − ρ) in every direction, also right at a
+/// wall.
 #[test]
 fn a_furnace_is_even() {
     let world = world(vec![room(0.5, 2.0)], Vec::new());
@@ -154,8 +156,8 @@ fn a_lamp_near_by_is_its_integral() {
     assert!(probes[0].error[0] < 0.02 * probes[0].radiance.0[0].x, "aimed at: {:?}", probes[0]);
 }
 
-/// irradiance / π on small surfaces of all directions at a point, which `sample` answers from rays of its own, has the probe's
-/// coefficients times 1, 2/3 and 1/4 (Funk and Hecke), whatever the light.
+/// irradiance / π on small surfaces of all directions at a point, which `sample` answers from rays of its own, has the
+/// probe's coefficients times 1, 2/3 and 1/4 (Funk and Hecke), whatever the light.
 #[test]
 fn surfaces_of_all_directions_have_the_same_light() {
     let lamp = Mesh::quad(Vec3::new(1.5, 2.9, 1.5), Vec3::X, Vec3::Z);

@@ -20,9 +20,9 @@ pub(crate) struct Seen<V> {
 }
 
 impl<V: Value> Field<'_, V> {
-    /// Radiance along a ray from a point that need not lie on a surface: of what surfaces reflect, and of the even part of the
-    /// sky. What lights that are aimed at send straight to the point is not in it. None where the ray meets the back of a
-    /// surface that has none, or of one that bounds a solid: nobody looks from there.
+    /// Radiance along a ray from a point that need not lie on a surface: of what surfaces reflect, and of the even part
+    /// of the sky. What lights that are aimed at send straight to the point is not in it. None where the ray meets the
+    /// back of a surface that has none, or of one that bounds a solid: nobody looks from there.
     #[inline]
     pub(crate) fn seen(
         &self,
