@@ -15,6 +15,7 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::atlas::{BYTES_PER_TEXEL, atlas_of};
 use super::coding::encode_body;
+use super::computed;
 use super::extract::{ApiPath, ApiQuery, Coding, first_named};
 use super::layers;
 use super::problem::{ApiResult, Kind, Problem};
@@ -22,9 +23,11 @@ use super::types::PartName;
 use super::uploads::memory_problem;
 use super::versioned::Versioned;
 use super::{Shared, find_scene};
+use crate::bands;
 use crate::engine;
 use crate::pictures::Watch;
 use crate::state::App;
+use crate::store::computed::ComputedPart;
 use crate::store::scene::SceneEntry;
 use crate::store::versions::{Published, Wanted};
 
@@ -86,6 +89,9 @@ pub(super) struct LightmapQuery {
     /// Which part, of all light or of a layer; the scene's mode where absent.
     #[param(inline)]
     part: Option<PartName>,
+    /// Of `part=ao`: what lies farther away hides nothing, metres; a fifth of the scene's radius where absent.
+    #[param(example = 0.5)]
+    ao_distance: Option<f32>,
 }
 
 /// The whole light map.
@@ -97,7 +103,9 @@ pub(super) struct LightmapQuery {
         ("If-None-Match" = Option<String>, Header, description = "The version that the client has"),
     ),
     responses(
-        (status = 200, description = "The light map", headers(("ETag" = String, description = "The version")),
+        (status = 200, description = "The light map", headers(("ETag" = String, description = "The version"),
+            ("X-Rebake-Ao-Distance" = f32, description = "Of `part=ao`: metres"),
+            ("X-Rebake-Error" = f32, description = "Of `part=ao`: stated error, area-weighted RMSE")),
             content((Vec<u8> = "application/vnd.rebake.delta"), (Vec<u8> = "image/x-exr"), (Vec<u8> = "model/gltf-binary"))),
         (status = 304, description = "The client has this version"),
     )
@@ -112,7 +120,7 @@ pub(super) async fn get(
     let published = scene.published();
     let versioned = Versioned::of_light(&published, &headers, Some("accept, accept-encoding"))?;
     let format = query.format.unwrap_or_else(|| Format::accepted(&headers));
-    let chosen = choose(&published, query.layer.as_deref(), query.part)?;
+    let chosen = choose(&published, query.layer.as_deref(), query.part, query.ao_distance)?;
     check_all(&published, &chosen, format)?;
     if query.layout.is_some() && format != Format::Glb {
         return Err(Problem::field(Kind::InvalidQuery, "layout", "goes with format=glb"));
@@ -120,7 +128,11 @@ pub(super) async fn get(
     if versioned.is_known {
         return Ok(versioned.not_modified());
     }
-    let about = versioned.about;
+    let chosen = computed::computed(&app, &scene, &published, chosen).await?;
+    let mut about = versioned.about;
+    if let Chosen::Computed(part) = &chosen {
+        about.extend(computed::headers(part)?);
+    }
     let coding = Coding::accepted(&headers);
     let default = if published.world.atlas().is_some() { GlbLayout::Atlas } else { GlbLayout::Vertices };
     if format == Format::Glb && query.layout.unwrap_or(default) == GlbLayout::Atlas {
@@ -165,12 +177,29 @@ pub(super) enum Chosen {
     Map(Wanted),
     Layer(String, Wanted),
     All,
+    /// What is no light, before it is computed …
+    Wanted(computed::Wanted),
+    /// … and after.
+    Computed(Arc<ComputedPart>),
 }
 
-/// What the query parameters `layer` and `part` say.
-pub(super) fn choose(published: &Published, layer: Option<&str>, part: Option<PartName>) -> ApiResult<Chosen> {
+/// What the query parameters `layer`, `part` and `ao_distance` say.
+pub(super) fn choose(
+    published: &Published,
+    layer: Option<&str>,
+    part: Option<PartName>,
+    ao_distance: Option<f32>,
+) -> ApiResult<Chosen> {
     let invalid = |field: &str, reason: &str| Err(Problem::field(Kind::InvalidQuery, field, reason));
-    let part = part.map(Wanted::from);
+    let has_ao = part == Some(PartName::Ao);
+    computed::check_distance(ao_distance, has_ao)?;
+    let part = match part.map(PartName::of_light) {
+        Some(None) if layer.is_some() => return invalid("layer", "goes with parts of light"),
+        Some(None) if has_ao => return Ok(Chosen::Wanted(computed::Wanted::Occlusion(ao_distance))),
+        Some(None) => return Ok(Chosen::Wanted(computed::Wanted::Directional)),
+        Some(part) => part,
+        None => None,
+    };
     let mode = Wanted::Light(published.mode());
     match layer.map(|text| layers::choose(published, text)).transpose()? {
         None => Ok(Chosen::Map(part.unwrap_or(mode))),
@@ -188,7 +217,11 @@ fn check_all(published: &Published, chosen: &Chosen, format: Format) -> ApiResul
         Chosen::All if published.layers.is_empty() => {
             invalid("the light map has no layers before a light is relit or lights are grouped")
         }
-        Chosen::All | Chosen::Map(_) | Chosen::Layer(..) => Ok(()),
+        Chosen::Wanted(computed::Wanted::Directional) if format == Format::Glb => {
+            let reason = "glb has one colour per vertex: part=directional comes as exr or raw";
+            Err(Problem::field(Kind::InvalidQuery, "format", reason))
+        }
+        _ => Ok(()),
     }
 }
 
@@ -196,10 +229,16 @@ fn check_all(published: &Published, chosen: &Chosen, format: Format) -> ApiResul
 type Described<'a> = (Cow<'a, [Vec3]>, Vec<(&'static str, String)>);
 
 /// One value per slot of what was chosen, and what it is; an error where that is all layers, or one that is gone.
-pub(super) fn values<'a>(published: &'a Published, chosen: &Chosen) -> Result<Described<'a>, String> {
+pub(super) fn values<'a>(published: &'a Published, chosen: &'a Chosen) -> Result<Described<'a>, String> {
     let mut about = vec![("lightMapVersion", published.version.to_string())];
     let values = match chosen {
         Chosen::All => return Err("several layers have no single values".to_owned()),
+        Chosen::Wanted(_) => return Err("the part is not computed yet".to_owned()),
+        Chosen::Computed(part) => {
+            about.extend(part.about.iter().cloned());
+            let [(_, values)] = &part.bands[..] else { return Err("several bands have no single values".to_owned()) };
+            values.into()
+        }
         Chosen::Map(wanted) => {
             about.push(("lightMapLayer", wanted.as_str().to_owned()));
             published.deliver(*wanted)
@@ -220,6 +259,11 @@ fn file(published: &Published, format: Format, chosen: &Chosen) -> Result<Vec<u8
         let (version, layers) = (published.version.to_string(), layers::to_json(published));
         let about = [("lightMapVersion", version.as_str()), ("lightMapLayers", &layers)];
         return engine::layers_exr(&published.map.layers, &about);
+    }
+    if let Chosen::Computed(part) = chosen
+        && part.bands.len() > 1
+    {
+        return bands::file(part, published.version, format == Format::Exr);
     }
     let (values, about) = values(published, chosen)?;
     let about: Vec<(&str, &str)> = about.iter().map(|(name, text)| (*name, text.as_str())).collect();

@@ -7,12 +7,14 @@ use jiff::Timestamp;
 use tokio::sync::watch;
 
 use super::atlas::MadeAtlas;
+use super::computed::KeptPart;
 use super::deltas::KeptDeltas;
 use super::drag::Drag;
 use super::earlier::Earlier;
 use super::history::History;
 use super::keys::IdempotencyKeys;
 use super::lighting::{Lighting, Lit, Samples, Sequence, Unlit, Work};
+use super::probes::KeptProbes;
 use super::records::{LightRecord, LightState};
 use super::versions::Published;
 use crate::config::Limits;
@@ -42,6 +44,12 @@ pub(crate) struct SceneEntry {
     pub(crate) deltas: KeptDeltas,
     /// Its atlas, where it was uploaded without one.
     pub(crate) made_atlas: MadeAtlas,
+    /// Sets of probes that clients follow.
+    pub(crate) probes: KeptProbes,
+    /// Ambient occlusion that a client asked for.
+    pub(crate) occlusion: KeptPart,
+    /// From where light comes, the same.
+    pub(crate) directional: KeptPart,
     published: watch::Sender<Arc<Published>>,
     deleted: watch::Sender<bool>,
     /// No version above it may be given before more are reserved.
@@ -117,6 +125,9 @@ impl SceneEntry {
             drag: Drag::default(),
             deltas: KeptDeltas::default(),
             made_atlas: MadeAtlas::default(),
+            probes: KeptProbes::default(),
+            occlusion: KeptPart::default(),
+            directional: KeptPart::default(),
             published: watch::Sender::new(Arc::new(published)),
             deleted: watch::Sender::new(false),
             reserved: AtomicU64::new(new.reserved),
@@ -183,7 +194,9 @@ impl SceneEntry {
 
     /// Bytes of what stands beside the world and the map: deltas, the transport of drags, earlier maps.
     pub(crate) fn aside_bytes(&self, published: &Published) -> usize {
-        self.deltas.memory_bytes() + self.drag.memory_bytes() + self.earlier.memory_bytes(&published.map)
+        let parts = self.occlusion.memory_bytes() + self.directional.memory_bytes();
+        let told = self.deltas.memory_bytes() + self.probes.memory_bytes() + parts;
+        told + self.drag.memory_bytes() + self.earlier.memory_bytes(&published.map)
     }
 
     /// What clients see now.
