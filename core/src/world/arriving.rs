@@ -35,7 +35,7 @@ pub(crate) fn arriving_in_space(
     rays: &mut u64,
 ) -> Option<(Vec3, Vec3)> {
     /// Samples are for one side of a surface: that of any plane which has the light. A skew one: few lights lie in it.
-    const N: Vec3 = Vec3::new(0.577_215_66, 0.691_203_1, 0.431_237_9);
+    const N: Vec3 = Vec3::new(0.577_215, 0.691_203, 0.431_237);
     arriving_on_side(emitter, trees, (point, N), u, rays)
         .or_else(|| arriving_on_side(emitter, trees, (point, -N), u, rays))
 }
