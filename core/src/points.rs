@@ -6,14 +6,12 @@ use rayon::prelude::*;
 
 use crate::job::{Canceled, Observer};
 use crate::lightmap::{LightMap, LightPart};
+use crate::parts::{PARTS, mean_of, shares};
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
 use crate::space::ray_offset;
 use crate::transport::{DirectLight, Field, Rough};
 use crate::world::World;
-
-/// Independent parts of a point's samples; their scatter is the error of their mean.
-const PARTS: u32 = 8;
 
 /// Points are taken off as elements of triangles of this extent are, metres: nothing tells what they are on.
 const EXTENT: f32 = 1.0;
@@ -60,19 +58,22 @@ pub fn light_at(
     let rough = if gathers { Rough::new(world, &map.direct, &[Vec3::ONE]) } else { Rough::default() };
     let field = Field { total: &total, direct: &map.direct, rough: &rough };
     let samples = options.samples.max(2);
-    let parts = samples.min(PARTS);
+    let shares = shares(samples);
     let one = |(index, (point, n)): (usize, &(DVec3, Vec3))| {
         if observer.canceled() {
             return Err(Canceled);
         }
         let point = (*point - world.scene.origin).as_vec3();
         let from = (point + *n * ray_offset(point, EXTENT), *n);
-        let part = |k: u32| {
-            let count = samples / parts + u32::from(k < samples % parts);
-            let mut rng = Pcg32::new(subseed(options.seed, u64::from(k)), index as u64);
-            (count, estimate(world, &field, from, options.part, count, &mut rng))
+        let part = |k: usize| match shares[k] {
+            0 => (0, Vec3::ZERO),
+            count => {
+                let mut rng = Pcg32::new(subseed(options.seed, k as u64), index as u64);
+                (count, estimate(world, &field, from, options.part, count, &mut rng))
+            }
         };
-        Ok(mean_of(&(0..parts).map(part).collect::<Vec<_>>()))
+        let (mean, error) = mean_of(&std::array::from_fn::<_, PARTS, _>(part));
+        Ok(PointLight { light: mean.max(Vec3::ZERO), error })
     };
     points.par_iter().enumerate().map(one).collect()
 }
@@ -101,15 +102,6 @@ fn estimate(
         source.add_landed(landed.as_ref(), rng, rays, &mut gathered);
     }
     light + gathered / samples as f32
-}
-
-/// Mean of independent parts, by their samples, and the standard error that their scatter tells.
-fn mean_of(parts: &[(u32, Vec3)]) -> PointLight {
-    let samples: u32 = parts.iter().map(|(count, _)| count).sum();
-    let mean = parts.iter().map(|(count, light)| *light * *count as f32).sum::<Vec3>() / samples as f32;
-    let squares: f32 = parts.iter().map(|(count, light)| *count as f32 * (*light - mean).length_squared() / 3.0).sum();
-    let variance = squares / ((parts.len() - 1) as f32 * samples as f32);
-    PointLight { light: mean.max(Vec3::ZERO), error: variance.sqrt() }
 }
 
 #[cfg(test)]

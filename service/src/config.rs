@@ -114,7 +114,9 @@ pub struct Limits {
     pub name_chars: usize,
     /// Points of one request for light at points.
     pub sample_points: usize,
-    /// Samples of one such request.
+    /// Probes of one request.
+    pub probes: usize,
+    /// Samples of one request for light at points or for probes.
     pub samples: u64,
     /// Samples per element that a budget may ask for.
     pub samples_per_element: u32,
@@ -215,6 +217,7 @@ impl Default for Limits {
             page: 200,
             name_chars: 256,
             sample_points: 4096,
+            probes: 32_768,
             samples: 1 << 23,
             samples_per_element: 65_536,
             max_seconds: 86_400.0,

@@ -7,6 +7,7 @@
 
 pub mod api;
 pub mod auth;
+mod bands;
 pub mod bench;
 pub mod client;
 mod compute;

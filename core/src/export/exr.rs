@@ -1,5 +1,6 @@
 //! OpenEXR: light maps as 32-bit float pictures, one pixel per element, and pages of atlases.
 
+use std::borrow::Borrow;
 use std::collections::BTreeSet;
 use std::io::Cursor;
 
@@ -83,22 +84,45 @@ pub fn write_page_exr(
     precision: Precision,
     attributes: &[(&str, &str)],
 ) -> Result<Vec<u8>, ExportError> {
-    let texels = page.width * page.height;
-    if texels == 0 || page.values.len() != texels || page.valid.len() != texels {
-        return Err(ExportError::Lists("the page".to_owned()));
+    write_pages_exr(&[("", page)], precision, attributes)
+}
+
+/// Writes several readings of the same page of an atlas as one OpenEXR picture: that called `y` has the channels `y.R`,
+/// `y.G` and `y.B`, one without a name `R`, `G` and `B`; `valid` is that of the first. The same input gives the same bytes.
+///
+/// # Errors
+/// [`ExportError`]: no pages, no texels, pages that differ in size, attribute names that are not possible.
+pub fn write_pages_exr(
+    pages: &[(&str, impl Borrow<TexelPage>)],
+    precision: Precision,
+    attributes: &[(&str, &str)],
+) -> Result<Vec<u8>, ExportError> {
+    let lists = || ExportError::Lists("the page".to_owned());
+    let first = pages.first().ok_or_else(lists)?.1.borrow();
+    let (size, texels) = ((first.width, first.height), first.width * first.height);
+    let fits = |page: &TexelPage| {
+        (page.width, page.height) == size && page.values.len() == texels && page.valid.len() == texels
+    };
+    if texels == 0 || !pages.iter().all(|(_, page)| fits(page.borrow())) {
+        return Err(lists());
     }
-    let channel = |part: usize| {
+    let channel = |page: &TexelPage, part: usize| {
         let values = page.values.iter().map(|value| value[part]);
         match precision {
             Precision::Half => FlatSamples::F16(values.map(to_half).collect()),
             Precision::Float => FlatSamples::F32(values.collect()),
         }
     };
-    let valid = page.valid.iter().map(|valid| if *valid { f16::ONE } else { f16::ZERO }).collect();
+    let valid = first.valid.iter().map(|valid| if *valid { f16::ONE } else { f16::ZERO }).collect();
     let mut list = SmallVec::new();
     list.push(AnyChannel::new(text("valid"), FlatSamples::F16(valid)));
-    list.extend(["R", "G", "B"].iter().enumerate().map(|(k, name)| AnyChannel::new(text(name), channel(k))));
-    write((page.width, page.height), AnyChannels::sort(list), &[], attributes)
+    for (layer, page) in pages {
+        for (part, letter) in ["R", "G", "B"].into_iter().enumerate() {
+            let name = if layer.is_empty() { letter.to_owned() } else { format!("{layer}.{letter}") };
+            list.push(AnyChannel::new(text_name(&name)?, channel(page.borrow(), part)));
+        }
+    }
+    write(size, AnyChannels::sort(list), &[], attributes)
 }
 
 /// What is finite stays so.

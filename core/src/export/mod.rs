@@ -5,7 +5,7 @@ mod glb;
 mod lightmap;
 mod png;
 
-pub use self::exr::{EXR_WIDTH, Precision, write_exr, write_page_exr, write_picture_exr};
+pub use self::exr::{EXR_WIDTH, Precision, write_exr, write_page_exr, write_pages_exr, write_picture_exr};
 pub use self::glb::{
     LightAbout, LightLayout, LitExport, MeshExport, ObjectExport, Originals, write_lit_glb, write_object_glb,
     write_scene_glb,

@@ -6,7 +6,7 @@ use glam::Vec3;
 
 use super::{
     Cone, Discrete, Equirect, Mixture, Spheres, SphericalTriangle, TexelChoice, cosine_hemisphere,
-    cosine_hemisphere_pdf, uniform_barycentrics,
+    cosine_hemisphere_pdf, uniform_barycentrics, uniform_sphere, uniform_sphere_pdf,
 };
 use crate::random::Pcg32;
 
@@ -101,6 +101,7 @@ fn directions_follow_their_densities() {
     for n in [Vec3::Z, -Vec3::Z, Vec3::new(0.6, -0.48, 0.64), Vec3::new(-1.0, 1e-4, 0.0).normalize()] {
         check_directions("cosine hemisphere", |u| cosine_hemisphere(n, u), |d| cosine_hemisphere_pdf(n, d));
     }
+    check_directions("sphere", uniform_sphere, |_| uniform_sphere_pdf());
     for (center, radius) in [(Vec3::new(0.3, 2.0, 1.0), 1.5), (Vec3::new(0.0, 0.0, -1.0), 0.99)] {
         let cone = Cone::to_sphere(Vec3::ZERO, center, radius).unwrap();
         check_directions("cone to a sphere", |u| cone.sample(u), |d| cone.pdf(d));

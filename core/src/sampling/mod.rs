@@ -5,6 +5,7 @@ mod cosine;
 mod discrete;
 mod equirect;
 mod mixture;
+mod sphere;
 mod triangle;
 
 pub use cone::Cone;
@@ -12,6 +13,7 @@ pub use cosine::{cosine_hemisphere, cosine_hemisphere_pdf};
 pub use discrete::Discrete;
 pub use equirect::{Equirect, TexelChoice};
 pub use mixture::{Mixture, Spheres};
+pub use sphere::{uniform_sphere, uniform_sphere_pdf};
 pub use triangle::{SphericalTriangle, uniform_barycentrics};
 
 use glam::Vec3;

@@ -8,6 +8,7 @@ mod effort;
 mod gather;
 mod hint;
 mod incoming;
+mod seen;
 mod spots;
 mod surfel;
 mod walk;

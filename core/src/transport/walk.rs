@@ -172,13 +172,13 @@ impl<V: Value> Field<'_, V> {
 /// Light that a surface gets straight from one of the lights, irradiance / π; the even part of the sky's is where a path
 /// escapes.
 #[inline]
-fn light_at<V: Value>(world: &World, surfel: &Surfel, rng: &mut Pcg32, rays: &mut u64) -> V {
+pub(super) fn light_at<V: Value>(world: &World, surfel: &Surfel, rng: &mut Pcg32, rays: &mut u64) -> V {
     one_light(world, surfel.ray_origin(), surfel.normal, rng, rays)
 }
 
 /// The even part of the sky's light at a surface, one sample.
 #[inline]
-fn sky_at<V: Value>(world: &World, surfel: &Surfel, rng: &mut Pcg32, rays: &mut u64) -> V {
+pub(super) fn sky_at<V: Value>(world: &World, surfel: &Surfel, rng: &mut Pcg32, rays: &mut u64) -> V {
     if !world.emitters.has_sky() {
         return V::default();
     }

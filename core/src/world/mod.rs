@@ -30,7 +30,7 @@ pub use info::{LightInfo, ObjectInfo};
 pub use transition::Transition;
 pub use trees::Trees;
 
-pub(crate) use arriving::{arriving, visible_light};
+pub(crate) use arriving::{arriving, arriving_in_space, arriving_on_side, visible_light};
 pub(crate) use coarse::Coarse;
 pub(crate) use emitters::{Emitter, Emitters, Shape, sky};
 pub(crate) use sight::Hidden;

@@ -10,14 +10,15 @@ use rebake_core::export::Precision;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
+use super::computed;
 use super::extract::{ApiPath, ApiQuery};
-use super::filter::view;
 use super::lightmap::{self, Chosen};
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::PartName;
 use super::uploads::memory_problem;
 use super::versioned::Versioned;
 use super::{Shared, find_scene};
+use crate::bands;
 use crate::config::Limits;
 use crate::engine::{self, Atlas, AtlasError, AtlasOptions, AtlasPicture, World};
 use crate::filter::Filter;
@@ -232,6 +233,9 @@ pub(super) struct PageQuery {
     /// Whether noise is averaged away where it may be; `statistical` where absent.
     #[param(inline)]
     filter: Option<Filter>,
+    /// Of `part=ao`: what lies farther away hides nothing, metres; a fifth of the scene's radius where absent.
+    #[param(example = 0.5)]
+    ao_distance: Option<f32>,
 }
 
 /// A page of the scene's atlas: irradiance / π, linear RGB, read from the elements at the centres of texels and filled
@@ -248,7 +252,8 @@ pub(super) struct PageQuery {
         (status = 200, description = "The page", headers(("ETag" = String, description = "The version"),
             ("X-Rebake-Version" = String, description = "Version of the light map"),
             ("X-Rebake-Exposure" = f32, description = "Stops of a PNG"),
-            ("X-Rebake-Estimated-Rmse" = f32, description = "Stated error of the light map as it is delivered, where it is known")),
+            ("X-Rebake-Ao-Distance" = f32, description = "Of `part=ao`: metres"),
+            ("X-Rebake-Estimated-Rmse" = f32, description = "Stated error of what is delivered, where it is known")),
             content((Vec<u8> = "image/x-exr"), (Vec<u8> = "image/png"))),
         (status = 304, description = "The client has this version"),
     )
@@ -266,9 +271,12 @@ pub(super) async fn get_page(
     if format == PageFormat::Png && query.precision.is_some() {
         return Err(Problem::field(Kind::InvalidQuery, "precision", "goes with format=exr only"));
     }
-    let chosen = lightmap::choose(&published, query.layer.as_deref(), query.part)?;
+    let chosen = lightmap::choose(&published, query.layer.as_deref(), query.part, query.ao_distance)?;
     if matches!(chosen, Chosen::All) {
         return Err(Problem::field(Kind::InvalidQuery, "layer", "pages hold one layer each: `all` is not offered"));
+    }
+    if matches!(chosen, Chosen::Wanted(computed::Wanted::Directional)) && format == PageFormat::Png {
+        return Err(Problem::field(Kind::InvalidQuery, "format", "has to be exr for part=directional"));
     }
     let atlas = atlas_of(&app, &scene, &published).await?;
     let pages = atlas.pages();
@@ -278,8 +286,14 @@ pub(super) async fn get_page(
     if versioned.is_known {
         return Ok(versioned.not_modified());
     }
-    let published = view(&app, &scene.filtered, published, query.filter.unwrap_or(Filter::Statistical)).await?;
-    versioned.state_error(&published)?;
+    let published =
+        lightmap::light_view(&app, &scene, published, &chosen, query.filter.unwrap_or(Filter::Statistical)).await?;
+    let chosen = computed::computed(&app, &scene, &published, chosen).await?;
+    match &chosen {
+        Chosen::Computed(part) => versioned.about.extend(computed::headers(part)?),
+        _ => versioned.state_error(&published)?,
+    }
+    let about = versioned.about;
     let bytes = u64::from(pages[index].width) * u64::from(pages[index].height) * BYTES_PER_TEXEL;
     let picture = match format {
         PageFormat::Png => AtlasPicture::Png,
@@ -294,6 +308,12 @@ pub(super) async fn get_page(
     let work = move || {
         let _turn = turn;
         let _promise = its_app.promise_memory(bytes, 0).map_err(|full| memory_problem("page", full))?;
+        if let Chosen::Computed(part) = &chosen
+            && let AtlasPicture::Exr(precision) = picture
+        {
+            let page = bands::page((&published.world, &atlas), index, part, published.version, precision, &watch);
+            return page.map(|file| (file, None)).map_err(Problem::internal);
+        }
         let (values, about) = lightmap::values(&published, &chosen).map_err(Problem::internal)?;
         let about: Vec<(&str, &str)> = about.iter().map(|(name, text)| (*name, text.as_str())).collect();
         let drawn = engine::atlas_page((&published.world, &atlas), index, &values, (picture, &about), &watch);
@@ -301,7 +321,7 @@ pub(super) async fn get_page(
     };
     let (file, exposure) = app.compute.draw(work).await??;
     let kind = if format == PageFormat::Png { "image/png" } else { "image/x-exr" };
-    let mut response = (versioned.about, [(header::CONTENT_TYPE, kind)], file).into_response();
+    let mut response = (about, [(header::CONTENT_TYPE, kind)], file).into_response();
     if let Some(stops) = exposure {
         let value = header::HeaderValue::from_str(&stops.to_string()).map_err(Problem::internal)?;
         response.headers_mut().insert("x-rebake-exposure", value);

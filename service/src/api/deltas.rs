@@ -85,7 +85,12 @@ pub(super) async fn get(
     let published = scene.published();
     let version = published.version;
     let layer = query.layer.as_deref().map(|text| layers::find(&published, text)).transpose()?;
-    let whole = query.part.map(Wanted::from).filter(|part| *part != Wanted::Light(published.mode()));
+    let part = query.part.map(|part| {
+        let no_light =
+            || Problem::field(Kind::InvalidQuery, "part", "is no light: deltas have none of it, lightmap has");
+        part.of_light().ok_or_else(no_light)
+    });
+    let whole = part.transpose()?.filter(|part| *part != Wanted::Light(published.mode()));
     drop(published);
     if query.since > version {
         let text = format!("since: the light map is at version {version}, not {}", query.since);

@@ -57,7 +57,9 @@ fn scope_for(method: &Method, path: &str) -> Option<Scope> {
     let is_upload = whole("/v1/scenes/") || whole("/v1/assets/");
     Some(match *method {
         Method::GET | Method::HEAD | Method::OPTIONS => Scope::Read,
-        Method::POST if path.trim_end_matches('/').ends_with("/sample") => Scope::Read,
+        Method::POST if ["/sample", "/probes"].iter().any(|end| path.trim_end_matches('/').ends_with(end)) => {
+            Scope::Read
+        }
         // What is deleted does not come back.
         Method::DELETE if is_upload => Scope::Admin,
         _ => Scope::Edit,
@@ -103,6 +105,7 @@ mod tests {
             (Method::DELETE, "/v1/jobs/j1", Some(Scope::Edit)),
             (Method::POST, "/v1/scenes/s1/edits", Some(Scope::Edit)),
             (Method::POST, "/v1/scenes/s1/sample", Some(Scope::Read)),
+            (Method::POST, "/v1/scenes/s1/probes", Some(Scope::Read)),
             (Method::PATCH, "/v1/anything", Some(Scope::Edit)),
         ] {
             assert_eq!(scope_for(&method, path), scope, "{method} {path}");

@@ -1,6 +1,7 @@
 //! The whole light map as a file.
 
 use std::borrow::Cow;
+use std::sync::Arc;
 
 use axum::extract::State;
 use axum::http::{HeaderMap, header};
@@ -11,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::coding::encode_body;
+use super::computed;
 use super::extract::{ApiPath, ApiQuery, Coding, first_named};
 use super::filter::view;
 use super::glb::{self, GlbLayout};
@@ -19,8 +21,12 @@ use super::problem::{ApiResult, Kind, Problem};
 use super::types::PartName;
 use super::versioned::Versioned;
 use super::{Shared, find_scene};
+use crate::bands;
 use crate::engine;
 use crate::filter::Filter;
+use crate::state::App;
+use crate::store::computed::ComputedPart;
+use crate::store::scene::SceneEntry;
 use crate::store::versions::{Published, Wanted};
 
 /// File formats of a light map.
@@ -81,6 +87,9 @@ pub(super) struct LightmapQuery {
     /// Whether noise is averaged away where it may be; `statistical` for `glb` and `none` for others where absent.
     #[param(inline)]
     filter: Option<Filter>,
+    /// Of `part=ao`: what lies farther away hides nothing, metres; a fifth of the scene's radius where absent.
+    #[param(example = 0.5)]
+    ao_distance: Option<f32>,
 }
 
 /// The whole light map.
@@ -94,7 +103,8 @@ pub(super) struct LightmapQuery {
     responses(
         (status = 200, description = "The light map", headers(("ETag" = String, description = "The version"),
             ("X-Rebake-Version" = String, description = "Version of the light map"),
-            ("X-Rebake-Estimated-Rmse" = f32, description = "Stated error of the light map as it is delivered, where it is known")),
+            ("X-Rebake-Ao-Distance" = f32, description = "Of `part=ao`: metres"),
+            ("X-Rebake-Estimated-Rmse" = f32, description = "Stated error of what is delivered, where it is known")),
             content((Vec<u8> = "application/vnd.rebake.delta"), (Vec<u8> = "image/x-exr"), (Vec<u8> = "model/gltf-binary"))),
         (status = 304, description = "The client has this version"),
     )
@@ -109,7 +119,7 @@ pub(super) async fn get(
     let published = scene.published();
     let mut versioned = Versioned::of_light(&published, &headers, Some("accept, accept-encoding"))?;
     let format = query.format.unwrap_or_else(|| Format::accepted(&headers));
-    let chosen = choose(&published, query.layer.as_deref(), query.part)?;
+    let chosen = choose(&published, query.layer.as_deref(), query.part, query.ao_distance)?;
     check_all(&published, &chosen, format)?;
     if query.layout.is_some() && format != Format::Glb {
         return Err(Problem::field(Kind::InvalidQuery, "layout", "goes with format=glb"));
@@ -121,8 +131,12 @@ pub(super) async fn get(
         return Ok(versioned.not_modified());
     }
     let default = if format == Format::Glb { Filter::Statistical } else { Filter::None };
-    let published = view(&app, &scene.filtered, published, query.filter.unwrap_or(default)).await?;
-    versioned.state_error(&published)?;
+    let published = light_view(&app, &scene, published, &chosen, query.filter.unwrap_or(default)).await?;
+    let chosen = computed::computed(&app, &scene, &published, chosen).await?;
+    match &chosen {
+        Chosen::Computed(part) => versioned.about.extend(computed::headers(part)?),
+        _ => versioned.state_error(&published)?,
+    }
     let about = versioned.about;
     let coding = Coding::accepted(&headers);
     if format == Format::Glb {
@@ -138,17 +152,46 @@ pub(super) async fn get(
     Ok((about, [(header::CONTENT_TYPE, format.content_type())], coding.headers(), body).into_response())
 }
 
+/// The version that light is taken of, as a client wants it filtered; of what is no light, the one that is stored.
+pub(super) async fn light_view(
+    app: &Arc<App>,
+    scene: &SceneEntry,
+    published: Arc<Published>,
+    chosen: &Chosen,
+    filter: Filter,
+) -> ApiResult<Arc<Published>> {
+    let filter = if matches!(chosen, Chosen::Wanted(_)) { Filter::None } else { filter };
+    view(app, &scene.filtered, published, filter).await
+}
+
 /// The whole map's part, a layer's, or all layers.
 pub(super) enum Chosen {
     Map(Wanted),
     Layer(String, Wanted),
     All,
+    /// What is no light, before it is computed …
+    Wanted(computed::Wanted),
+    /// … and after.
+    Computed(Arc<ComputedPart>),
 }
 
-/// What the query parameters `layer` and `part` say.
-pub(super) fn choose(published: &Published, layer: Option<&str>, part: Option<PartName>) -> ApiResult<Chosen> {
+/// What the query parameters `layer`, `part` and `ao_distance` say.
+pub(super) fn choose(
+    published: &Published,
+    layer: Option<&str>,
+    part: Option<PartName>,
+    ao_distance: Option<f32>,
+) -> ApiResult<Chosen> {
     let invalid = |field: &str, reason: &str| Err(Problem::field(Kind::InvalidQuery, field, reason));
-    let part = part.map(Wanted::from);
+    let has_ao = part == Some(PartName::Ao);
+    computed::check_distance(ao_distance, has_ao)?;
+    let part = match part.map(PartName::of_light) {
+        Some(None) if layer.is_some() => return invalid("layer", "goes with parts of light"),
+        Some(None) if has_ao => return Ok(Chosen::Wanted(computed::Wanted::Occlusion(ao_distance))),
+        Some(None) => return Ok(Chosen::Wanted(computed::Wanted::Directional)),
+        Some(part) => part,
+        None => None,
+    };
     let mode = Wanted::Light(published.mode());
     match layer.map(|text| layers::choose(published, text)).transpose()? {
         None => Ok(Chosen::Map(part.unwrap_or(mode))),
@@ -166,7 +209,11 @@ fn check_all(published: &Published, chosen: &Chosen, format: Format) -> ApiResul
         Chosen::All if published.layers.is_empty() => {
             invalid("the light map has no layers before a light is relit or lights are grouped")
         }
-        Chosen::All | Chosen::Map(_) | Chosen::Layer(..) => Ok(()),
+        Chosen::Wanted(computed::Wanted::Directional) if format == Format::Glb => {
+            let reason = "glb has one colour per vertex: part=directional comes as exr or raw";
+            Err(Problem::field(Kind::InvalidQuery, "format", reason))
+        }
+        _ => Ok(()),
     }
 }
 
@@ -174,13 +221,19 @@ fn check_all(published: &Published, chosen: &Chosen, format: Format) -> ApiResul
 type Described<'a> = (Cow<'a, [Vec3]>, Vec<(&'static str, String)>);
 
 /// One value per slot of what was chosen, and what it is; an error where that is all layers, or one that is gone.
-pub(super) fn values<'a>(published: &'a Published, chosen: &Chosen) -> Result<Described<'a>, String> {
+pub(super) fn values<'a>(published: &'a Published, chosen: &'a Chosen) -> Result<Described<'a>, String> {
     let mut about = vec![("lightMapVersion", published.version.to_string())];
     if published.is_filtered {
         about.push(("lightMapFilter", "statistical".to_owned()));
     }
     let values = match chosen {
         Chosen::All => return Err("several layers have no single values".to_owned()),
+        Chosen::Wanted(_) => return Err("the part is not computed yet".to_owned()),
+        Chosen::Computed(part) => {
+            about.extend(part.about.iter().cloned());
+            let [(_, values)] = &part.bands[..] else { return Err("several bands have no single values".to_owned()) };
+            values.into()
+        }
         Chosen::Map(wanted) => {
             about.push(("lightMapLayer", wanted.as_str().to_owned()));
             published.deliver(*wanted)
@@ -202,6 +255,11 @@ fn file(published: &Published, is_picture: bool, chosen: &Chosen) -> Result<Vec<
         let (version, layers) = (published.version.to_string(), layers::to_json(published));
         let about = [("lightMapVersion", version.as_str()), ("lightMapLayers", &layers)];
         return engine::layers_exr(&published.map.layers, &about);
+    }
+    if let Chosen::Computed(part) = chosen
+        && part.bands.len() > 1
+    {
+        return bands::file(part, published.version, is_picture);
     }
     let (values, about) = values(published, chosen)?;
     let about: Vec<(&str, &str)> = about.iter().map(|(name, text)| (*name, text.as_str())).collect();

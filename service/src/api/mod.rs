@@ -4,6 +4,7 @@ mod assets;
 pub mod atlas;
 mod between;
 mod coding;
+mod computed;
 mod deltas;
 mod drain;
 mod edit_light_types;
@@ -29,6 +30,7 @@ mod openapi;
 mod paging;
 mod painter;
 mod prepare;
+mod probes;
 pub mod problem;
 mod render;
 mod sample;
@@ -81,6 +83,7 @@ pub(crate) fn router(app: Arc<App>) -> Router {
         .route("/v1/scenes/{scene}/atlas/{page}", get(atlas::get_page))
         .route("/v1/scenes/{scene}/render", get(render::get))
         .route("/v1/scenes/{scene}/sample", post(sample::create))
+        .route("/v1/scenes/{scene}/probes", get(probes::get).post(probes::create))
         .route("/v1/assets", post(assets::create).get(assets::list))
         .route("/v1/assets/{asset}", delete(assets::delete))
         .route("/v1/jobs", get(jobs::list))
@@ -114,7 +117,15 @@ fn cors(origins: &[String]) -> CorsLayer {
     if origins.is_empty() {
         return CorsLayer::new();
     }
-    let exposed = ["etag", "location", "retry-after", "x-rebake-version", "x-request-id", "content-encoding"];
+    let exposed = [
+        "etag",
+        "location",
+        "retry-after",
+        "x-rebake-version",
+        "x-rebake-estimated-rmse",
+        "x-request-id",
+        "content-encoding",
+    ];
     CorsLayer::new()
         .allow_origin(origin)
         .allow_methods([Method::GET, Method::POST, Method::PATCH, Method::DELETE])

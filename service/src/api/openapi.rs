@@ -14,7 +14,7 @@ use utoipa::openapi::{Ref, RefOr};
 use super::problem::{self, Kind, ProblemDocument};
 use super::{
     assets, atlas, between, deltas, edit_types, edits, elements, events, health, history, jobs, lightmap, objects,
-    render, sample, scenes, types, uploads,
+    probes, render, sample, scenes, types, uploads,
 };
 
 #[derive(OpenApi)]
@@ -28,7 +28,7 @@ use super::{
         uploads::create, scenes::list, scenes::get, scenes::patch, scenes::delete, assets::create, assets::list, assets::delete, edits::create,
         history::list,
         jobs::list, jobs::get, jobs::cancel, jobs::pause, jobs::resume, events::of_job, events::of_scene,
-        objects::list, objects::get, lightmap::get, deltas::get, between::get, elements::get, atlas::get, atlas::get_page, render::get, sample::create, health::alive, health::ready, health::metrics, health::problem, get
+        objects::list, objects::get, lightmap::get, deltas::get, between::get, elements::get, atlas::get, atlas::get_page, render::get, sample::create, probes::get, probes::create, health::alive, health::ready, health::metrics, health::problem, get
     ),
     components(schemas(ProblemDocument, types::SnapshotEvent, types::SceneEvent, types::SceneSummary, edit_types::EditRequest)),
     servers((url = "/", description = "The service that tells this")),
@@ -153,11 +153,13 @@ fn problems_of(operation: &str) -> &'static [Kind] {
         "scene_events" => &[UnknownScene, SceneDamaged, TooManyStreams],
         "list_objects" => &[InvalidQuery, UnknownScene, SceneDamaged],
         "get_object" => &[InvalidQuery, UnknownScene, SceneDamaged, ObjectNotFound],
-        "get_lightmap" => &[InvalidQuery, UnknownScene, SceneDamaged, SceneTooLarge, NoMemory],
+        "get_lightmap" => &[InvalidQuery, UnknownScene, SceneDamaged, SceneTooLarge, NoMemory, ShuttingDown],
         "get_deltas" => &[InvalidQuery, UnknownScene, SceneDamaged, VersionAhead, TooManyStreams],
         "get_delta_between" => &[UnknownScene, SceneDamaged, UnknownVersion, VersionForgotten],
         "get_atlas" => &[UnknownScene, SceneDamaged, SceneTooLarge],
-        "get_atlas_page" => &[InvalidQuery, UnknownScene, SceneDamaged, SceneTooLarge, NotFound, NoMemory],
+        "get_atlas_page" => {
+            &[InvalidQuery, UnknownScene, SceneDamaged, SceneTooLarge, NotFound, NoMemory, ShuttingDown]
+        }
         "get_elements" => &[UnknownScene, SceneDamaged],
         "render_scene" => &[InvalidQuery, UnknownScene, SceneDamaged, VersionForgotten],
         "sample_light" => &[
@@ -168,6 +170,18 @@ fn problems_of(operation: &str) -> &'static [Kind] {
             PayloadTooLarge,
             UnsupportedMediaType,
             InvalidValue,
+            ShuttingDown,
+        ],
+        "get_probes" => &[InvalidQuery, UnknownScene, SceneDamaged, VersionAhead, ShuttingDown],
+        "sample_probes" => &[
+            InvalidJson,
+            UnknownScene,
+            SceneDamaged,
+            Timeout,
+            PayloadTooLarge,
+            UnsupportedMediaType,
+            InvalidValue,
+            VersionAhead,
             ShuttingDown,
         ],
         "describe_problem" => &[NotFound],

@@ -141,20 +141,25 @@ fn check_points(points: &[[f64; 6]], published: &Published, limits: &Limits) -> 
         let reason = format!("has to hold 1 to {} points, not {}", limits.sample_points, points.len());
         return Err(invalid("points".to_owned(), reason));
     }
-    let origin = published.world.scene.origin;
     let each = |(k, numbers): (usize, &[f64; 6])| {
         let [x, y, z, nx, ny, nz] = *numbers;
         let (point, n) = (DVec3::new(x, y, z), DVec3::new(nx, ny, nz));
-        let distance = (point - origin).abs().max_element();
-        if distance.is_nan() || distance > FARTHEST {
-            let reason = format!("its position has to be within {FARTHEST:e} m of the scene");
-            return Err(invalid(format!("points[{k}]"), reason));
-        }
+        check_position(point, published, &format!("points[{k}]"))?;
         let n = n.try_normalize().filter(|n| n.is_finite());
         let zero = || invalid(format!("points[{k}]"), "its normal has to be finite and not zero".to_owned());
         Ok((point, n.ok_or_else(zero)?.as_vec3()))
     };
     points.iter().enumerate().map(each).collect()
+}
+
+/// Whether a position is one that numbers can tell, near enough to the scene.
+pub(super) fn check_position(point: DVec3, published: &Published, field: &str) -> ApiResult<()> {
+    let distance = (point - published.world.scene.origin).abs().max_element();
+    if distance.is_nan() || distance > FARTHEST {
+        let reason = format!("its position has to be within {FARTHEST:e} m of the scene");
+        return Err(Problem::field(Kind::InvalidValue, field, reason));
+    }
+    Ok(())
 }
 
 fn check_samples(request: &SampleRequest, limits: &Limits) -> ApiResult<u32> {

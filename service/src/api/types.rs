@@ -26,15 +26,25 @@ pub enum PartName {
     /// The standard error of each element (irradiance / π), of the light that is the scene's mode: three equal numbers,
     /// infinite where nothing is known of it (in glTF the largest finite number).
     Error,
+    /// Ambient occlusion: the share of the hemisphere above each element, weighted by the cosine, in which nothing lies
+    /// within `ao_distance`; three equal numbers. Computed when it is asked for. In files, not in deltas.
+    Ao,
+    /// From where the light of each element comes (the scene's mode): the first band of spherical harmonics of the
+    /// radiance that comes to its hemisphere, three RGB coefficients, of y, z and x. Gathered from the light map when
+    /// it is asked for. In `raw` the values of all elements for y, then z, then x; in pictures channels `y.R` and so
+    /// on. In files, not in deltas.
+    Directional,
 }
 
-impl From<PartName> for Wanted {
-    fn from(part: PartName) -> Wanted {
-        match part {
-            PartName::Full => Wanted::Light(Part::Full),
-            PartName::Direct => Wanted::Light(Part::Direct),
-            PartName::Indirect => Wanted::Light(Part::Indirect),
-            PartName::Error => Wanted::Error,
+impl PartName {
+    /// What of a light map or a layer it names; none of what is no light.
+    pub(super) fn of_light(self) -> Option<Wanted> {
+        match self {
+            PartName::Full => Some(Wanted::Light(Part::Full)),
+            PartName::Direct => Some(Wanted::Light(Part::Direct)),
+            PartName::Indirect => Some(Wanted::Light(Part::Indirect)),
+            PartName::Error => Some(Wanted::Error),
+            PartName::Ao | PartName::Directional => None,
         }
     }
 }

@@ -69,6 +69,10 @@ pub(super) struct CreateQuery {
     /// Texels per metre of surface of the atlas; asks for one. One per spacing where absent.
     #[param(example = 20.0)]
     texels_per_metre: Option<f32>,
+    /// Whether the light map is to tell from where light comes, as `part=directional`. That is gathered whenever it is
+    /// asked for, of every scene: nothing is computed or kept before, with `true` or without.
+    #[serde(rename = "directional")]
+    _directional: Option<bool>,
     /// Which lights have layers of their own in the light map, so that relighting them needs no rays: `shared` (none,
     /// the default; lights that are relit get one then), `each` (every light; at most 15), or a JSON object of layers
     /// with their lights (at most 15; the other lights share one more).

@@ -69,6 +69,8 @@ enum Command {
     Watch(remote::WatchArgs),
     /// Save a scene's light map to a file
     Pull(remote::PullArgs),
+    /// Save the light around points of a scene as spherical harmonics
+    Probes(remote::ProbesArgs),
     /// Draw a picture of a scene, or of a file after baking it
     Render(Box<render::RenderArgs>),
     /// Compare two pictures or light maps: RMSE, FLIP, a picture of the difference
@@ -124,6 +126,7 @@ pub(crate) fn run() -> ExitCode {
             Command::Edit(args) => remote::edit(&args).await,
             Command::Watch(args) => remote::watch(args).await,
             Command::Pull(args) => remote::pull(args).await,
+            Command::Probes(args) => remote::probes(args).await,
             Command::Render(args) => render::render(*args).await,
             Command::Compare(args) => compare::compare(&args),
             Command::List(args) => remote::list(args).await,

@@ -251,6 +251,11 @@ impl Client {
         self.json(self.request(Method::GET, &["v1", "scenes", scene, "atlas"], &[])?).await
     }
 
+    /// Probes of the scene: `Probes` of the API, as JSON; `query` as the API describes it.
+    pub async fn probes(&self, scene: &str, query: &[(&str, String)]) -> Result<serde_json::Value, ClientError> {
+        self.json(self.request(Method::GET, &["v1", "scenes", scene, "probes"], query)?).await
+    }
+
     /// A page of the scene's atlas; `query` as the API describes it.
     pub async fn atlas_page(
         &self,

@@ -3,6 +3,7 @@
 
 pub(crate) mod assets;
 pub(crate) mod atlas;
+pub(crate) mod computed;
 pub(crate) mod deltas;
 pub(crate) mod disk;
 mod drag;
@@ -13,6 +14,7 @@ pub(crate) mod history;
 pub(crate) mod keys;
 pub(crate) mod layers;
 pub(crate) mod lighting;
+pub(crate) mod probes;
 pub(crate) mod records;
 pub(crate) mod scene;
 pub(crate) mod scenes;

@@ -7,6 +7,7 @@ use jiff::Timestamp;
 use tokio::sync::watch;
 
 use super::atlas::MadeAtlas;
+use super::computed::KeptPart;
 use super::deltas::KeptDeltas;
 use super::drag::Drag;
 use super::earlier::Earlier;
@@ -14,6 +15,7 @@ use super::filtered::FilteredLight;
 use super::history::History;
 use super::keys::IdempotencyKeys;
 use super::lighting::{Lighting, Lit, Samples, Sequence, Unlit, Work};
+use super::probes::KeptProbes;
 use super::records::{LightRecord, LightState};
 use super::versions::Published;
 use crate::config::Limits;
@@ -45,6 +47,12 @@ pub(crate) struct SceneEntry {
     pub(crate) filtered: Arc<FilteredLight>,
     /// Its atlas, where it was uploaded without one.
     pub(crate) made_atlas: MadeAtlas,
+    /// Sets of probes that clients follow.
+    pub(crate) probes: KeptProbes,
+    /// Ambient occlusion that a client asked for.
+    pub(crate) occlusion: KeptPart,
+    /// From where light comes, the same.
+    pub(crate) directional: KeptPart,
     published: watch::Sender<Arc<Published>>,
     deleted: watch::Sender<bool>,
     /// No version above it may be given before more are reserved.
@@ -121,6 +129,9 @@ impl SceneEntry {
             deltas: KeptDeltas::default(),
             filtered: Arc::default(),
             made_atlas: MadeAtlas::default(),
+            probes: KeptProbes::default(),
+            occlusion: KeptPart::default(),
+            directional: KeptPart::default(),
             published: watch::Sender::new(Arc::new(published)),
             deleted: watch::Sender::new(false),
             reserved: AtomicU64::new(new.reserved),
@@ -187,8 +198,9 @@ impl SceneEntry {
 
     /// Bytes of what stands beside the world and the map: deltas, the transport of drags, earlier maps, filtered light.
     pub(crate) fn aside_bytes(&self, published: &Published) -> usize {
-        let earlier = self.earlier.memory_bytes(&published.map);
-        self.deltas.memory_bytes() + self.drag.memory_bytes() + earlier + self.filtered.memory_bytes()
+        let parts = self.occlusion.memory_bytes() + self.directional.memory_bytes() + self.filtered.memory_bytes();
+        let told = self.deltas.memory_bytes() + self.probes.memory_bytes() + parts;
+        told + self.drag.memory_bytes() + self.earlier.memory_bytes(&published.map)
     }
 
     /// What clients see now.

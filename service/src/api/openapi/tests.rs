@@ -5,7 +5,7 @@ use axum::http::Uri;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
-use super::super::{atlas, deltas, edit_parse, jobs, lightmap, objects, render, sample, scenes, upload_query};
+use super::super::{atlas, deltas, edit_parse, jobs, lightmap, objects, probes, render, sample, scenes, upload_query};
 use super::document;
 
 fn described() -> Value {
@@ -40,6 +40,7 @@ fn read_query(operation: &str, query: &str) -> Result<(), String> {
         "get_lightmap" => reads::<lightmap::LightmapQuery>(query),
         "get_deltas" => reads::<deltas::DeltaQuery>(&format!("since=0&{query}").replace("since=0&since", "since")),
         "get_atlas_page" => reads::<atlas::PageQuery>(query),
+        "get_probes" => reads::<probes::ProbesQuery>(query),
         "render_scene" => reads::<render::RenderQuery>(query),
         _ => Err("this test does not know the operation".to_owned()),
     }
@@ -53,6 +54,9 @@ fn read_body(operation: &str, body: &Value) -> Result<(), String> {
         "patch_scene" => serde_json::from_str::<scenes::ScenePatch>(&text).map(drop).map_err(|error| error.to_string()),
         "sample_light" => {
             serde_json::from_str::<sample::SampleRequest>(&text).map(drop).map_err(|error| error.to_string())
+        }
+        "sample_probes" => {
+            serde_json::from_str::<probes::ProbesRequest>(&text).map(drop).map_err(|error| error.to_string())
         }
         _ => Err("this test does not know the operation".to_owned()),
     }

@@ -47,7 +47,8 @@ pub(in super::super) struct PullArgs {
     /// One part of the light (`direct`, `indirect`), one layer by its name, or `all` layers in one .exr
     #[arg(long)]
     layer: Option<String>,
-    /// Which part of all light or of the layer: full, direct, indirect, or error, the standard error of each element
+    /// Which part of all light or of the layer: full, direct, indirect, or error, the standard error of each element;
+    /// or ao, ambient occlusion, or directional, from where light comes
     #[arg(long)]
     part: Option<String>,
     /// Whether noise is averaged away where it may be [default: as the API says: in .glb and atlases, not in .exr and .rbkd]
