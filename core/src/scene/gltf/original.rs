@@ -139,8 +139,9 @@ pub(super) fn open_document(bytes: &[u8], files: &Files<'_>, limits: &LoadLimits
         ..limits.clone()
     };
     let file = container::open(bytes, files, limits)?;
-    let text = container::text(bytes)?;
-    let raw: Raw = document::read(text)?;
+    // What nobody read before may be no text.
+    let text = String::from_utf8_lossy(container::text(bytes)?);
+    let raw: Raw = document::read(text.as_bytes())?;
     let mut warnings = Warnings::default();
     let placed = nodes::place(&file, limits, &mut warnings)?;
     let nodes = read_nodes(&file, &placed, raw.nodes, limits, &mut warnings)?;
@@ -155,7 +156,7 @@ pub(super) fn open_document(bytes: &[u8], files: &Files<'_>, limits: &LoadLimits
         images: (0..file.root.images.len()).map(picture).collect(),
         scene_name: raw.scenes.into_iter().nth(raw.scene.unwrap_or(0)).and_then(|scene| scene.name),
         copyright: raw.asset.copyright,
-        lists: document::read(text)?,
+        lists: document::read(text.as_bytes()).unwrap_or_default(),
     })
 }
 
