@@ -339,7 +339,11 @@ function panels(): void {
 function panelsOfWork(): void {
   work(jobs, scene, {
     cancel: (job) => void attempt(() => client.cancel(job.id)),
-    pause: (job) => void attempt(async () => told(await client.pause(job.id))),
+    pause: (job) => void attempt(async () => {
+      const now = await client.pause(job.id);
+      // The event that it is paused may be faster than the answer that it will be.
+      if (jobs.find((one) => one.id === job.id)?.state !== 'paused') told(now);
+    }),
     resume: (job) => void attempt(async () => told(await client.resume(job.id))),
     light: () => void attempt(() => commands.lightRest()),
   });

@@ -56,7 +56,7 @@ async function dark({ page, check, shot, room, canvas, settled, upload, state })
 
 async function pause({ page, check, settled, state, client }) {
   const { scene } = await state();
-  await client.edit(scene.id, { op: 'move', object: scene.objects[1].name, transform: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0.1, 1] }, { budget: { samples_per_element: 60_000 } });
+  await client.edit(scene.id, { op: 'move', object: scene.objects[1].name, transform: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0.1, 1] }, { budget: { samples_per_element: 8_000 } });
   const job = page.locator('#job');
   await job.locator('button', { hasText: 'Pause' }).click();
   await job.locator('button', { hasText: 'Continue' }).waitFor();
