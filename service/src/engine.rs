@@ -344,6 +344,7 @@ pub(crate) struct LitScene<'a> {
     pub(crate) values: &'a [Vec3],
     pub(crate) originals: &'a Originals,
     pub(crate) unlit: bool,
+    pub(crate) surfaces_only: bool,
     pub(crate) about: LightAbout,
 }
 
@@ -357,8 +358,9 @@ pub(crate) fn lit_glb(scene: &LitScene<'_>, observer: &dyn Observer) -> Result<V
         pages = read.map_err(|Canceled| "nobody waits for it".to_owned())?;
     }
     let layout = scene.atlas.map_or(LightLayout::Vertices(values), |atlas| LightLayout::Atlas(atlas, &pages));
-    let (originals, unlit, about) = (scene.originals, scene.unlit, scene.about);
-    write_lit_glb(&LitExport { world, originals, layout, unlit, about }).map_err(|error| error.to_string())
+    let LitScene { originals, unlit, surfaces_only, about, .. } = *scene;
+    write_lit_glb(&LitExport { world, originals, layout, unlit, surfaces_only, about })
+        .map_err(|error| error.to_string())
 }
 
 /// Opens a file that was read before, to be written back.

@@ -73,7 +73,7 @@ async fn files_come_back_as_edits_have_left_them() {
     server.end_of(scene["current_job"].as_str().unwrap()).await;
     let asset = server.crate_asset().await;
     let all = ["bulb", "cupboard", "furniture", "lamp", "marker", "room", "view"];
-    for query in ["layout=vertices", "layout=atlas"] {
+    for query in ["layout=vertices", "layout=atlas&unlit=false"] {
         let file = file(&server, &scene, query).await;
         let (json, again) = (document(&file), read(&file));
         assert_eq!(names(&file), all);
@@ -97,7 +97,7 @@ async fn files_come_back_as_edits_have_left_them() {
             server.stop().await;
             server = start(directory.path()).await;
         }
-        for query in ["layout=vertices", "layout=atlas"] {
+        for query in ["layout=vertices", "layout=atlas&unlit=false"] {
             let file = file(&server, &scene, query).await;
             let (json, again) = (document(&file), read(&file));
             assert_eq!(names(&file), left);

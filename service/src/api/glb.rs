@@ -62,6 +62,8 @@ pub(super) async fn glb(
     };
     // Materials that shine by their light map are what viewers without lights can show of it.
     let unlit = wish.unlit.unwrap_or(atlas.is_some());
+    // Who does not say how it is to be laid out gets what there was before there was a choice: surfaces with light.
+    let surfaces_only = wish.layout.is_none() && wish.unlit.is_none() && atlas.is_none();
     let (watch, its_app, its_scene) = (Watch::default(), Arc::clone(app), Arc::clone(scene));
     let _guard = watch.guard();
     let turn = app.pictures.turns.clone().acquire_owned().await.map_err(Problem::internal)?;
@@ -76,7 +78,8 @@ pub(super) async fn glb(
         let values = lightmap::finite(&values);
         let about = LightAbout { version: Some(published.version), estimated_rmse: published.estimated_rmse };
         let atlas = atlas.as_deref();
-        let lit = LitScene { world: &published.world, atlas, values: &values, originals: &originals, unlit, about };
+        let world = &published.world;
+        let lit = LitScene { world, atlas, values: &values, originals: &originals, unlit, surfaces_only, about };
         let file = engine::lit_glb(&lit, &watch).map_err(Problem::internal)?;
         encode_body(coding, file).map_err(Problem::internal)
     };

@@ -66,13 +66,14 @@ pub(super) struct LightmapQuery {
     #[param(inline)]
     format: Option<Format>,
     /// Of `glb`, which has the hierarchy, names, materials, textures, lights and cameras of the files as edits have
-    /// left them. `vertices`: subdivided meshes, the light map times vertex colours as float `COLOR_0`, at most 1;
-    /// where that changes it, as `_LIGHT` too. `atlas`: the meshes as they are, `TEXCOORD_1` on the pages of the
+    /// left them. `vertices`: subdivided meshes, the light map times vertex colours as float `COLOR_0`; where that
+    /// changes it, as `_LIGHT` too. `atlas`: the meshes as they are, `TEXCOORD_1` on the pages of the
     /// atlas, and those as `MOZ_lightmap` of the materials: 8-bit sRGB pictures over the `gain` of
-    /// `asset.extras.light_map`. As the scene was uploaded where absent.
+    /// `asset.extras.light_map`. As the scene was uploaded where absent; by vertices then surfaces alone, without lights and
+    /// cameras.
     #[param(inline)]
     layout: Option<GlbLayout>,
-    /// Of `glb`: viewers without lights show it. By vertices materials are `KHR_materials_unlit`; by texels those that
+    /// Of `glb`: viewers without lights show it. By vertices materials are `KHR_materials_unlit` and `COLOR_0` at most 1; by texels those that
     /// do not shine by themselves have the light map times their mean albedo as their emission, which readers of
     /// `MOZ_lightmap` do not want. Where absent: `false` by vertices, `true` by texels.
     unlit: Option<bool>,

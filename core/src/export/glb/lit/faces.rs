@@ -148,7 +148,7 @@ impl Drawn<'_> {
 
     /// The cells between its elements, whose `values` (per element, those of the back behind those of the front) are
     /// vertex colours.
-    pub(super) fn by_element(&self, world: &World, values: &[Vec3]) -> BTreeMap<PartKey, Part> {
+    pub(super) fn by_element(&self, world: &World, values: &[Vec3], is_shown: bool) -> BTreeMap<PartKey, Part> {
         let (mut parts, apart, surface) = (BTreeMap::new(), self.apart(), &self.placed.surface);
         let cells = self.placed.layout.of_cells(surface, |patch| Some(*patch));
         let object_from_world = self.item.world_from_object.inverse();
@@ -165,7 +165,10 @@ impl Drawn<'_> {
             for side in 0..sides {
                 let corner = |k: usize| {
                     let light = values[side * elements + patch.elements[k] as usize];
-                    vertex(face, weights(patch, k, corners), place(patch.corners[k]), light)
+                    let vertex = vertex(face, weights(patch, k, corners), place(patch.corners[k]), light);
+                    // The specification has colours end at 1.
+                    let color = if is_shown { vertex.color.clamp(Vec4::ZERO, Vec4::ONE) } else { vertex.color };
+                    Vertex { color, ..vertex }
                 };
                 self.add(&mut parts, face, side == 1, [corner(0), corner(1), corner(2)], apart);
             }
@@ -229,8 +232,7 @@ fn vertex(face: &Face, weights: [f64; 3], position: Vec3, light: Vec3) -> Vertex
         position,
         normal: if has_normals { normal } else { Vec3::ZERO },
         texcoords: [Vec2::new(sets.x, sets.y), Vec2::new(sets.z, sets.w), Vec2::ZERO],
-        // The specification has colours end at 1.
-        color: color.clamp(Vec4::ZERO, Vec4::ONE),
+        color,
         light,
     }
 }

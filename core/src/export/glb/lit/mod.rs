@@ -43,6 +43,8 @@ pub struct LitExport<'a> {
     pub layout: LightLayout<'a>,
     /// Viewers without any light of their own show what surfaces send out.
     pub unlit: bool,
+    /// Nodes with a surface and those above them alone: no lights, no cameras, nothing that is empty.
+    pub surfaces_only: bool,
     /// What the light map is.
     pub about: LightAbout,
 }
@@ -77,8 +79,8 @@ pub struct LightAbout {
 /// too.
 ///
 /// [`LightLayout::Vertices`]: the meshes are the cells between elements; `COLOR_0` is the light map times the file's
-/// vertex colours, at most 1 as the specification has it. Where that changes it anywhere, `_LIGHT` is the light map as
-/// it is. With `unlit` materials are `KHR_materials_unlit`, but those that shine or transmit light.
+/// vertex colours. With `unlit` it is at most 1, as the specification has it, and materials are `KHR_materials_unlit`,
+/// but those that shine or transmit light. Where any of that changes it, `_LIGHT` is the light map as it is.
 ///
 /// Surfaces whose backs have light of their own are drawn twice, single-sided, a ten-thousandth of the object's size
 /// apart. `asset.extras.light_map` and `extras.light_map` of the nodes tell unit, version, stated error and places.
@@ -134,7 +136,7 @@ fn check(export: &LitExport<'_>) -> Result<(), ExportError> {
 fn has_light(export: &LitExport<'_>) -> bool {
     let LightLayout::Vertices(values) = export.layout else { return false };
     let is_colored = export.world.scene.objects.iter().any(|item| !item.is_hidden && !item.mesh.colors.is_empty());
-    is_colored || values.iter().any(|value| value.max_element() > 1.0)
+    is_colored || export.unlit && values.iter().any(|value| value.max_element() > 1.0)
 }
 
 fn emissive(light: &Light) -> Option<((&str, u32), &Light)> {
@@ -216,7 +218,7 @@ impl<'a> Writer<'a> {
         let mut primitives = Vec::new();
         match self.export.layout {
             LightLayout::Vertices(values) => {
-                let parts = drawn.by_element(world, &values[placed.placement.element_indices()]);
+                let parts = drawn.by_element(world, &values[placed.placement.element_indices()], self.export.unlit);
                 let texcoords = [0, 1].into_iter().rposition(|set| drawn.has_texcoords(set)).map_or(0, |last| last + 1);
                 let attributes = Attributes { texcoords, has_color: true, has_light: self.has_light };
                 let has = [0, 1].map(|set| drawn.has_texcoords(set));

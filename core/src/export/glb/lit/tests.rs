@@ -38,8 +38,9 @@ fn written(world: &World, originals: &Originals, unlit: bool) -> [Vec<u8>; 2] {
     };
     let pages: Vec<TexelPage> = atlas.pages().into_iter().map(page).collect();
     let about = LightAbout { version: Some(7), estimated_rmse: Some(0.5) };
-    [LightLayout::Vertices(&values), LightLayout::Atlas(atlas, &pages)]
-        .map(|layout| write_lit_glb(&LitExport { world, originals, layout, unlit, about }).expect("a file"))
+    [LightLayout::Vertices(&values), LightLayout::Atlas(atlas, &pages)].map(|layout| {
+        write_lit_glb(&LitExport { world, originals, layout, unlit, surfaces_only: false, about }).expect("a file")
+    })
 }
 
 /// The JSON of a binary glTF, and its data.
@@ -185,9 +186,10 @@ fn light_is_at_the_vertices_or_on_the_pages() {
                 let words = data[start..start + length].chunks_exact(4);
                 Some(words.map(|word| f32::from_le_bytes(word.try_into().unwrap())).collect())
             };
-            let (Some(light), Some(colors)) = (floats("_LIGHT"), floats("COLOR_0")) else { continue };
+            let Some(colors) = floats("COLOR_0") else { continue };
+            let light = floats("_LIGHT").unwrap_or_else(|| colors.clone());
             for (light, color) in light.chunks_exact(3).zip(colors.chunks_exact(3)) {
-                assert_eq!((light[0], color[0]), (light[2], light[0].min(1.0)));
+                assert_eq!((light[0], color[0]), (light[2], if unlit { light[0].min(1.0) } else { light[0] }));
                 seen[(light[0] * 100.0).round() as usize] = true;
             }
         }
@@ -362,11 +364,39 @@ fn light_that_does_not_fit_is_refused() {
     let (world, originals) = (world(&file), of(&file));
     let export = |layout| {
         let about = LightAbout::default();
-        write_lit_glb(&LitExport { world: &world, originals: &originals, layout, unlit: false, about })
+        write_lit_glb(&LitExport {
+            world: &world,
+            originals: &originals,
+            layout,
+            unlit: false,
+            surfaces_only: false,
+            about,
+        })
     };
     let [values, no_numbers] = [Vec3::ONE, Vec3::NAN].map(|value| vec![value; world.slots()]);
     assert!(export(LightLayout::Vertices(&values)).is_ok());
     assert!(matches!(export(LightLayout::Vertices(&values[1..])), Err(ExportError::Lists(_))));
     assert!(matches!(export(LightLayout::Vertices(&no_numbers)), Err(ExportError::NotFinite(_))));
     assert!(matches!(export(LightLayout::Atlas(world.atlas().unwrap(), &[])), Err(ExportError::Lists(_))));
+}
+
+/// Surfaces alone, for who wants nothing else.
+#[test]
+fn surfaces_can_be_had_alone() {
+    let file = house();
+    let (world, originals) = (world(&file), of(&file));
+    let values = vec![Vec3::ONE; world.slots()];
+    let layout = LightLayout::Vertices(&values);
+    let about = LightAbout::default();
+    let export = LitExport { world: &world, originals: &originals, layout, unlit: false, surfaces_only: false, about };
+    let with_mesh = |json: &Value| json["nodes"].as_array().unwrap().iter().filter(|n| n.get("mesh").is_some()).count();
+    let all = document(&write_lit_glb(&export).expect("a file")).0;
+    let alone = document(&write_lit_glb(&LitExport { surfaces_only: true, ..export }).expect("a file")).0;
+    assert_eq!(with_mesh(&alone), with_mesh(&all));
+    assert!(alone["nodes"].as_array().unwrap().len() < all["nodes"].as_array().unwrap().len());
+    for node in alone["nodes"].as_array().unwrap() {
+        assert!(node.get("mesh").is_some() || node.get("children").is_some(), "{node}");
+    }
+    assert!(all.get("cameras").is_some() && alone.get("cameras").is_none());
+    assert!(all["extensions"].get("KHR_lights_punctual").is_some() && alone.get("extensions").is_none());
 }
