@@ -45,6 +45,7 @@ export function ask(file: File): Promise<Upload | null> {
   const estimate = async () => {
     const mine = ++request;
     $('up-sky-more').hidden = field('sky').value !== 'colour';
+    $('up-plan').ariaBusy = 'true';
     $('up-plan').replaceChildren('Looking at the file …');
     try {
       const plan = await client.plan(file, settings());
@@ -53,9 +54,13 @@ export function ask(file: File): Promise<Upload | null> {
       if (mine !== request) return;
       $('up-plan').replaceChildren(make('strong', { class: 'bad' }, error instanceof Error ? error.message : String(error)));
     }
+    if (mine === request) $('up-plan').ariaBusy = 'false';
   };
   form.oninput = () => {
     clearTimeout(timer);
+    // What is on its way is about other settings.
+    request++;
+    $('up-plan').ariaBusy = 'true';
     timer = window.setTimeout(() => void estimate(), 300);
   };
   void estimate();

@@ -74,7 +74,7 @@ try {
       if (await field.evaluate((f) => f instanceof HTMLSelectElement)) await field.selectOption(String(value));
       else await field.fill(String(value));
     }
-    await page.waitForFunction(() => document.getElementById('up-plan').textContent.includes('elements'));
+    await page.waitForFunction(() => document.getElementById('up-plan').ariaBusy === 'false');
     const said = await page.locator('#up-plan').textContent();
     const before = (await state()).scene?.id;
     await page.locator('#up-ok').click();
