@@ -497,6 +497,72 @@ export interface PointLight {
   range?: number | null;
 }
 
+/** A grid of probes: `index` = *i* + *nx* (*j* + *ny* *k*), its point is `origin` + `spacing` × (*i*, *j*, *k*). */
+export interface ProbeGrid {
+  /** The first point, world space, metres. */
+  origin: number[];
+  /** Metres between neighbours. */
+  spacing: number;
+  /** Points along x, y and z. */
+  counts: number[];
+}
+
+/** The light around a point. */
+export interface ProbeLight {
+  /** Its place in the grid, or in the request. */
+  index: number;
+  /** World space, metres. */
+  position: number[];
+  /**
+   * Nine coefficients, linear RGB, of the incoming radiance over all directions (not convolved with a cosine) in
+   * real orthonormal spherical harmonics without the Condon-Shortley phase, world axes: 1, y, z, x, xy, yz, 3z²−1,
+   * xz, x²−y². What `SphericalHarmonics3` of three.js takes, in its order and signs. Times 1, 2/3 and 1/4 by band
+   * they are those of irradiance / π.
+   */
+  coefficients: number[][];
+  /**
+   * Standard error of each coefficient, mean over RGB, from the scatter of its samples; null where the light map
+   * states none, or is not up to date with the objects.
+   */
+  error?: number[] | null;
+  /**
+   * Share of the directions in which no back of a single-sided surface or of a solid is seen: 1 in the open, 0
+   * inside of solids.
+   */
+  validity: number;
+  /** Version of the light map that it was computed from. */
+  version: number;
+}
+
+/** Probes of a scene. */
+export interface Probes {
+  /** Version of the light map. */
+  version: number;
+  /**
+   * All probes of the request are here. Where not, those that are not here have the light that they had at version
+   * `since`, up to their error.
+   */
+  complete: boolean;
+  /** Samples per probe. */
+  samples: number;
+  grid?: ProbeGrid | null;
+  /** By index. */
+  probes: ProbeLight[];
+}
+
+/** Probes at points of their own. */
+export interface ProbesRequest {
+  /** Position x y z of each, world space, metres. */
+  points: number[][];
+  /** Samples per probe; 256 where absent. */
+  samples?: number | null;
+  /**
+   * A version that this same request was answered with `since`: only probes whose light has changed since then by
+   * more than its error come. 0 begins.
+   */
+  since?: number | null;
+}
+
 /** A problem document. */
 export interface ProblemDocument {
   /** Stable URI of the kind of problem; `GET` it for a description. */
