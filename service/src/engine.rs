@@ -344,8 +344,12 @@ pub(crate) struct LitScene<'a> {
     pub(crate) values: &'a [Vec3],
     pub(crate) originals: &'a Originals,
     pub(crate) unlit: bool,
-    pub(crate) surfaces_only: bool,
     pub(crate) about: LightAbout,
+}
+
+/// The subdivided meshes of a scene with one value per slot as `COLOR_0`, vertices in the order of slots.
+pub(crate) fn lightmap_glb(world: &World, values: &[Vec3]) -> Result<Vec<u8>, String> {
+    rebake_core::export::lightmap_glb(world, values).map_err(|error| error.to_string())
 }
 
 /// A scene with its light map, and all that the files have that it was made of, as binary glTF.
@@ -358,9 +362,8 @@ pub(crate) fn lit_glb(scene: &LitScene<'_>, observer: &dyn Observer) -> Result<V
         pages = read.map_err(|Canceled| "nobody waits for it".to_owned())?;
     }
     let layout = scene.atlas.map_or(LightLayout::Vertices(values), |atlas| LightLayout::Atlas(atlas, &pages));
-    let LitScene { originals, unlit, surfaces_only, about, .. } = *scene;
-    write_lit_glb(&LitExport { world, originals, layout, unlit, surfaces_only, about })
-        .map_err(|error| error.to_string())
+    let LitScene { originals, unlit, about, .. } = *scene;
+    write_lit_glb(&LitExport { world, originals, layout, unlit, about }).map_err(|error| error.to_string())
 }
 
 /// Opens a file that was read before, to be written back.

@@ -2,10 +2,24 @@
 
 use glam::Vec3;
 
-use super::{EXR_WIDTH, ExportError, MeshExport, ObjectExport, write_exr, write_object_glb};
+use super::{EXR_WIDTH, ExportError, MeshExport, ObjectExport, write_exr, write_glb, write_object_glb};
 use crate::scene::{LightKind, Material};
 use crate::space::Patch;
 use crate::world::World;
+
+/// The subdivided mesh with `values` (per slot) as float `COLOR_0`. Backs that have elements are triangles of their
+/// own, wound the other way. Vertices are in the order of slots.
+///
+/// # Errors
+/// [`ExportError`]: values that do not fit the world or are not finite, more than the format can hold.
+pub fn lightmap_glb(world: &World, values: &[Vec3]) -> Result<Vec<u8>, ExportError> {
+    if values.len() != world.slots() {
+        return Err(ExportError::Lists("the light map".to_owned()));
+    }
+    let pieces: Vec<Piece> = (0..world.placed.len()).map(|index| Piece::new(world, index)).collect();
+    let meshes: Vec<MeshExport> = pieces.iter().map(|p| p.export(world, values)).collect();
+    write_glb(&meshes, world.scene.origin)
+}
 
 /// One object of a world, by its position in [`World::objects`], with `values` (per slot) as the light of its
 /// elements: see [`write_object_glb`]. None where there is no such object.

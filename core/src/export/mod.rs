@@ -7,10 +7,10 @@ mod png;
 
 pub use self::exr::{EXR_WIDTH, Precision, write_exr, write_page_exr, write_pages_exr, write_picture_exr};
 pub use self::glb::{
-    LightAbout, LightLayout, LitExport, MeshExport, ObjectExport, Originals, write_lit_glb, write_object_glb,
-    write_scene_glb,
+    LightAbout, LightLayout, LitExport, MeshExport, ObjectExport, Originals, write_glb, write_lit_glb,
+    write_object_glb, write_scene_glb,
 };
-pub use self::lightmap::{lightmap_exr, object_glb};
+pub use self::lightmap::{lightmap_exr, lightmap_glb, object_glb};
 pub use self::png::{srgb_from_linear, write_png};
 
 /// Why a file could not be written.

@@ -62,13 +62,20 @@ pub(super) async fn glb(
     };
     // Materials that shine by their light map are what viewers without lights can show of it.
     let unlit = wish.unlit.unwrap_or(atlas.is_some());
-    // Who does not say how it is to be laid out gets what there was before there was a choice: surfaces with light.
-    let surfaces_only = wish.layout.is_none() && wish.unlit.is_none() && atlas.is_none();
+    // Who does not say how it is to be laid out maps elements to vertices: surfaces alone, in the order of slots.
+    let by_slot = wish.layout.is_none() && wish.unlit.is_none() && atlas.is_none();
     let (watch, its_app, its_scene) = (Watch::default(), Arc::clone(app), Arc::clone(scene));
     let _guard = watch.guard();
     let turn = app.pictures.turns.clone().acquire_owned().await.map_err(Problem::internal)?;
     let work = move || {
         let _turn = turn;
+        if by_slot {
+            let bytes = published.world.element_count() as u64 * BYTES_PER_ELEMENT;
+            let _promise = its_app.promise_memory(bytes, 0).map_err(|full| memory_problem("file", full))?;
+            let (values, _) = lightmap::values(&published, &chosen).map_err(Problem::internal)?;
+            let file = engine::lightmap_glb(&published.world, &lightmap::finite(&values));
+            return encode_body(coding, file.map_err(Problem::internal)?).map_err(Problem::internal);
+        }
         let files = files_of(&its_app, &its_scene, &published)?;
         let bytes = files.bytes() * COPIES + light_bytes(&published, atlas.as_deref());
         let promise = its_app.promise_memory(bytes, 0);
@@ -79,7 +86,7 @@ pub(super) async fn glb(
         let about = LightAbout { version: Some(published.version), estimated_rmse: published.estimated_rmse };
         let atlas = atlas.as_deref();
         let world = &published.world;
-        let lit = LitScene { world, atlas, values: &values, originals: &originals, unlit, surfaces_only, about };
+        let lit = LitScene { world, atlas, values: &values, originals: &originals, unlit, about };
         let file = engine::lit_glb(&lit, &watch).map_err(Problem::internal)?;
         encode_body(coding, file).map_err(Problem::internal)
     };

@@ -69,8 +69,8 @@ pub(super) struct LightmapQuery {
     /// left them. `vertices`: subdivided meshes, the light map times vertex colours as float `COLOR_0`; where that
     /// changes it, as `_LIGHT` too. `atlas`: the meshes as they are, `TEXCOORD_1` on the pages of the
     /// atlas, and those as `MOZ_lightmap` of the materials: 8-bit sRGB pictures over the `gain` of
-    /// `asset.extras.light_map`. As the scene was uploaded where absent; by vertices then surfaces alone, without lights and
-    /// cameras.
+    /// `asset.extras.light_map`. As the scene was uploaded where absent; by vertices then surfaces alone, with vertices in
+    /// the order of the elements.
     #[param(inline)]
     layout: Option<GlbLayout>,
     /// Of `glb`: viewers without lights show it. By vertices materials are `KHR_materials_unlit` and `COLOR_0` at most 1; by texels those that

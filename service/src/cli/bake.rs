@@ -195,14 +195,7 @@ fn lit_glb(args: &BakeArgs, world: &World, values: &[glam::Vec3], error: f32) ->
     let originals = Originals { scene, ..Originals::default() };
     let about = LightAbout { version: None, estimated_rmse: Some(error) };
     let layout = LightLayout::Vertices(values);
-    Ok(write_lit_glb(&LitExport {
-        world,
-        originals: &originals,
-        layout,
-        unlit: args.unlit,
-        surfaces_only: false,
-        about,
-    })?)
+    Ok(write_lit_glb(&LitExport { world, originals: &originals, layout, unlit: args.unlit, about })?)
 }
 
 /// Writes the pages of a world's atlas and where objects lie on them; answers how many bytes that is.

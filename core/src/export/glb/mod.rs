@@ -10,7 +10,7 @@ mod tests;
 use std::collections::BTreeMap;
 
 use ::gltf::json::Value;
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 pub use self::lit::{LightAbout, LightLayout, LitExport, Originals, write_lit_glb};
 pub use self::object::{ObjectExport, write_object_glb};
@@ -39,6 +39,26 @@ pub struct MeshExport<'a> {
     pub materials: &'a [Material],
     /// Per material: mean share of light that does not go through, 0..=1; empty where all are opaque.
     pub opacities: &'a [f32],
+}
+
+/// Writes meshes with their light map as float `COLOR_0`: shown without further light, `baseColorFactor × COLOR_0`
+/// is the outgoing radiance. One node and mesh per object; objects without triangles are left out.
+///
+/// `origin` (world space, metres) is the zero of the positions' space. It becomes the translation of the nodes, so
+/// that the vertices of a scene far from the world's zero keep their precision.
+///
+/// # Errors
+/// [`ExportError`]: lists that do not fit together, numbers that are not finite, more than 4 GiB.
+pub fn write_glb(meshes: &[MeshExport<'_>], origin: DVec3) -> Result<Vec<u8>, ExportError> {
+    let mut document = Document::default();
+    for mesh in meshes.iter().filter(|mesh| !mesh.triangles.is_empty()) {
+        let mut node = vec![("name", mesh.name.into()), ("mesh", add_light_mesh(&mut document, mesh)?)];
+        if origin != DVec3::ZERO {
+            node.push(("translation", numbers(origin.as_vec3().to_array())));
+        }
+        document.nodes.push(object(node));
+    }
+    document.finish()
 }
 
 /// Adds a mesh with its light map as float `COLOR_0`.

@@ -43,8 +43,6 @@ pub struct LitExport<'a> {
     pub layout: LightLayout<'a>,
     /// Viewers without any light of their own show what surfaces send out.
     pub unlit: bool,
-    /// Nodes with a surface and those above them alone: no lights, no cameras, nothing that is empty.
-    pub surfaces_only: bool,
     /// What the light map is.
     pub about: LightAbout,
 }

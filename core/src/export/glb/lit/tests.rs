@@ -38,9 +38,8 @@ fn written(world: &World, originals: &Originals, unlit: bool) -> [Vec<u8>; 2] {
     };
     let pages: Vec<TexelPage> = atlas.pages().into_iter().map(page).collect();
     let about = LightAbout { version: Some(7), estimated_rmse: Some(0.5) };
-    [LightLayout::Vertices(&values), LightLayout::Atlas(atlas, &pages)].map(|layout| {
-        write_lit_glb(&LitExport { world, originals, layout, unlit, surfaces_only: false, about }).expect("a file")
-    })
+    [LightLayout::Vertices(&values), LightLayout::Atlas(atlas, &pages)]
+        .map(|layout| write_lit_glb(&LitExport { world, originals, layout, unlit, about }).expect("a file"))
 }
 
 /// The JSON of a binary glTF, and its data.
@@ -364,39 +363,11 @@ fn light_that_does_not_fit_is_refused() {
     let (world, originals) = (world(&file), of(&file));
     let export = |layout| {
         let about = LightAbout::default();
-        write_lit_glb(&LitExport {
-            world: &world,
-            originals: &originals,
-            layout,
-            unlit: false,
-            surfaces_only: false,
-            about,
-        })
+        write_lit_glb(&LitExport { world: &world, originals: &originals, layout, unlit: false, about })
     };
     let [values, no_numbers] = [Vec3::ONE, Vec3::NAN].map(|value| vec![value; world.slots()]);
     assert!(export(LightLayout::Vertices(&values)).is_ok());
     assert!(matches!(export(LightLayout::Vertices(&values[1..])), Err(ExportError::Lists(_))));
     assert!(matches!(export(LightLayout::Vertices(&no_numbers)), Err(ExportError::NotFinite(_))));
     assert!(matches!(export(LightLayout::Atlas(world.atlas().unwrap(), &[])), Err(ExportError::Lists(_))));
-}
-
-/// Surfaces alone, for who wants nothing else.
-#[test]
-fn surfaces_can_be_had_alone() {
-    let file = house();
-    let (world, originals) = (world(&file), of(&file));
-    let values = vec![Vec3::ONE; world.slots()];
-    let layout = LightLayout::Vertices(&values);
-    let about = LightAbout::default();
-    let export = LitExport { world: &world, originals: &originals, layout, unlit: false, surfaces_only: false, about };
-    let with_mesh = |json: &Value| json["nodes"].as_array().unwrap().iter().filter(|n| n.get("mesh").is_some()).count();
-    let all = document(&write_lit_glb(&export).expect("a file")).0;
-    let alone = document(&write_lit_glb(&LitExport { surfaces_only: true, ..export }).expect("a file")).0;
-    assert_eq!(with_mesh(&alone), with_mesh(&all));
-    assert!(alone["nodes"].as_array().unwrap().len() < all["nodes"].as_array().unwrap().len());
-    for node in alone["nodes"].as_array().unwrap() {
-        assert!(node.get("mesh").is_some() || node.get("children").is_some(), "{node}");
-    }
-    assert!(all.get("cameras").is_some() && alone.get("cameras").is_none());
-    assert!(all["extensions"].get("KHR_lights_punctual").is_some() && alone.get("extensions").is_none());
 }

@@ -49,7 +49,7 @@ pub(super) fn write(writer: &mut Writer<'_>) -> Result<(), ExportError> {
     for light in world.scene.lights.iter().filter(|light| left.contains(light.name.as_str())) {
         roots.extend(add_light(writer, light, DMat4::IDENTITY)?);
     }
-    if originals.scene.is_none() && !writer.export.surfaces_only {
+    if originals.scene.is_none() {
         for camera in &world.scene.cameras {
             roots.push(add_camera(&mut writer.document, camera)?);
         }
@@ -91,9 +91,6 @@ fn add_object(
 
 /// A light as a node of its own; none for what has no place in glTF.
 fn add_light(writer: &mut Writer<'_>, light: &Light, parent: DMat4) -> Result<Option<Value>, ExportError> {
-    if writer.export.surfaces_only {
-        return Ok(None);
-    }
     let (Some(json), Some(frame)) = (light_json(light), frame_of(light)) else { return Ok(None) };
     let stand = Stand::below(parent, frame).ok_or_else(|| ExportError::NotFinite(light.name.clone()))?;
     let index = push(&mut writer.document.lights, json);
@@ -116,8 +113,7 @@ impl<'a> Tree<'a> {
             }
         }
         let mut lights = vec![None; file.nodes.len()];
-        let is_written = |light: &&Light| !writer.export.surfaces_only && frame_of(light).is_some();
-        for light in scene.lights.iter().filter(is_written) {
+        for light in scene.lights.iter().filter(|light| frame_of(light).is_some()) {
             if let Some(place) = scene.light_nodes.get(&light.name).and_then(|index| place(*index)) {
                 lights[place] = Some(light);
             }
@@ -134,23 +130,19 @@ impl<'a> Tree<'a> {
         }
         let is_kept = vec![false; file.nodes.len()];
         let mut tree = Tree { file, children, order, objects, lights, is_kept };
-        tree.keep(writer.export.surfaces_only);
+        tree.keep();
         tree
     }
 
-    /// Nodes stay that are something, or have something below them; and those that were nothing all along, where not only
-    /// surfaces are asked for.
-    fn keep(&mut self, surfaces_only: bool) {
+    /// Nodes stay that are something, or have something below them; and those that were nothing all along.
+    fn keep(&mut self) {
         for &place in self.order.iter().rev() {
             let (node, json) = (&self.file.nodes[place], self.file.nodes[place].json());
             let was_something = ["mesh", "camera"].iter().any(|key| json.contains_key(*key)) || has_light(&json);
-            let is_seen =
-                !self.objects[place].is_empty() || self.children[place].iter().any(|&below| self.is_kept[below]);
-            if surfaces_only {
-                self.is_kept[place] = is_seen;
-                continue;
-            }
-            let is_something = is_seen || self.lights[place].is_some() || json.contains_key("camera");
+            let is_something = !self.objects[place].is_empty()
+                || self.lights[place].is_some()
+                || json.contains_key("camera")
+                || self.children[place].iter().any(|&below| self.is_kept[below]);
             let is_marker = !was_something && self.children[place].is_empty() && !node.is_hidden;
             self.is_kept[place] = is_something || is_marker;
         }
@@ -184,8 +176,7 @@ impl<'a> Tree<'a> {
             let below = self.children[place].iter().filter_map(|&below| written[below]);
             let mut children: Vec<Value> = below.map(Value::from).collect();
             self.add_objects(writer, place, stand, &mut json, &mut children, left)?;
-            if !writer.export.surfaces_only
-                && let Some(index) = was.get("camera").and_then(Value::as_u64)
+            if let Some(index) = was.get("camera").and_then(Value::as_u64)
                 && let Some(camera) = self.file.lists.cameras.get(index as usize)
             {
                 let add = || push(&mut writer.document.cameras, camera.clone());
