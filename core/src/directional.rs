@@ -188,7 +188,7 @@ mod tests {
         assert!(indirect.band.iter().flatten().all(|c| *c == Vec3::ZERO), "a lamp alone is direct light");
     }
 
-    /// The same from everywhere above: √(3 / 4π) π times the normal.
+    /// Radiance that is equal from everywhere above has a first band of √(3 / 4π) π times the normal.
     #[test]
     fn an_even_sky_comes_from_the_normal() {
         let world = world(vec![slope(0.0)], Some(LightKind::Environment));

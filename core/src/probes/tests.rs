@@ -52,7 +52,7 @@ fn assert_mean(probes: &[Probe], expected: [f32; COEFFICIENTS]) {
     }
 }
 
-/// The same from everywhere: √(4π) times the radiance, and nothing else.
+/// Radiance that is equal from everywhere is √(4π) of it in the first coefficient, and nothing else.
 #[test]
 fn an_even_sky_is_its_first_coefficient() {
     let world = world(Vec::new(), vec![LightKind::Environment]);

@@ -157,7 +157,7 @@ struct Writer<'a> {
     lights: BTreeMap<(&'a str, u32), &'a Light>,
     /// Textures of the pages.
     pages: Vec<Value>,
-    /// The same, as materials have them.
+    /// Per page, the `MOZ_lightmap` that materials have.
     light_maps: Vec<Value>,
     gain: f32,
     has_light: bool,
