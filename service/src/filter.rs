@@ -3,9 +3,10 @@
 use std::sync::Arc;
 
 use clap::ValueEnum;
-use rebake_core::{Canceled, LightMap, Observer, World};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
+
+use crate::engine::{self, Canceled, LightMap, Observer, World};
 
 /// What is done to light on its way to a client; what is stored stays as it is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema, ValueEnum)]
@@ -27,7 +28,7 @@ impl Filter {
     pub fn apply(self, world: &World, map: Arc<LightMap>, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
         match self {
             Filter::None => Ok(map),
-            Filter::Statistical => rebake_core::filter::filter(world, &map, |_| true, observer).map(Arc::new),
+            Filter::Statistical => engine::filter(world, &map, |_| true, observer).map(Arc::new),
         }
     }
 }

@@ -115,7 +115,8 @@ pub(crate) struct NoRoom {
 }
 
 impl App {
-    /// Bytes that all scenes and assets take, with the files that are kept in memory and the edits that are accepted and not shown yet.
+    /// Bytes that all scenes and assets take, with the files that are kept in memory and the edits that are accepted and
+    /// not shown yet.
     pub(crate) fn memory_in_use(&self) -> u64 {
         let of = |scene: &SceneEntry| {
             let published = scene.published();

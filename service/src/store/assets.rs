@@ -24,9 +24,7 @@ impl Content {
             Content::Picture(picture) => picture.memory_bytes() as u64,
         }
     }
-}
 
-impl Content {
     /// Objects that are inserted from it tell where they come from.
     fn named(self, id: &str) -> Content {
         match self {
