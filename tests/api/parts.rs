@@ -18,7 +18,7 @@ async fn part(server: &Server, scene: &Value, query: &str) -> Vec<Vec3> {
 }
 
 /// Area of each element, m².
-async fn areas(server: &Server, scene: &Value) -> Vec<f32> {
+pub(crate) async fn areas(server: &Server, scene: &Value) -> Vec<f32> {
     let bytes = server.get(&format!("{}/elements", path_of(scene))).await.body;
     bytes.chunks_exact(32).map(|record| f32::from_le_bytes(record[24..28].try_into().unwrap())).collect()
 }

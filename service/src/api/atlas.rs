@@ -286,12 +286,12 @@ pub(super) async fn get_page(
     if versioned.is_known {
         return Ok(versioned.not_modified());
     }
-    let published =
-        lightmap::light_view(&app, &scene, published, &chosen, query.filter.unwrap_or(Filter::Statistical)).await?;
+    let published = lightmap::light_view(&app, &scene, published, &chosen, (query.filter, Filter::Statistical)).await?;
     let chosen = computed::computed(&app, &scene, &published, chosen).await?;
     match &chosen {
         Chosen::Computed(part) => versioned.about.extend(computed::headers(part)?),
-        _ => versioned.state_error(&published)?,
+        Chosen::Map(_) => versioned.state_error(&published)?,
+        _ => {}
     }
     let about = versioned.about;
     let bytes = u64::from(pages[index].width) * u64::from(pages[index].height) * BYTES_PER_TEXEL;

@@ -132,11 +132,12 @@ pub(super) async fn get(
         return Ok(versioned.not_modified());
     }
     let default = if format == Format::Glb { Filter::Statistical } else { Filter::None };
-    let published = light_view(&app, &scene, published, &chosen, query.filter.unwrap_or(default)).await?;
+    let published = light_view(&app, &scene, published, &chosen, (query.filter, default)).await?;
     let chosen = computed::computed(&app, &scene, &published, chosen).await?;
     match &chosen {
         Chosen::Computed(part) => versioned.about.extend(computed::headers(part)?),
-        _ => versioned.state_error(&published)?,
+        Chosen::Map(_) => versioned.state_error(&published)?,
+        _ => {}
     }
     let about = versioned.about;
     let coding = Coding::accepted(&headers);
@@ -153,15 +154,22 @@ pub(super) async fn get(
     Ok((about, [(header::CONTENT_TYPE, format.content_type())], coding.headers(), body).into_response())
 }
 
-/// The version that light is taken of, as a client wants it filtered; of what is no light, the one that is stored.
+/// The version that light is taken of, filtered as a client asks for it or else by `default`; of what is no light, the
+/// one that is stored.
 pub(super) async fn light_view(
     app: &Arc<App>,
     scene: &SceneEntry,
     published: Arc<Published>,
     chosen: &Chosen,
-    filter: Filter,
+    (asked, default): (Option<Filter>, Filter),
 ) -> ApiResult<Arc<Published>> {
-    let filter = if matches!(chosen, Chosen::Wanted(_)) { Filter::None } else { filter };
+    let filter = match (chosen, asked) {
+        (Chosen::Wanted(_), Some(Filter::Statistical)) => {
+            return Err(Problem::field(Kind::InvalidQuery, "filter", "goes with parts of light"));
+        }
+        (Chosen::Wanted(_), _) => Filter::None,
+        (_, asked) => asked.unwrap_or(default),
+    };
     view(app, &scene.filtered, published, filter).await
 }
 

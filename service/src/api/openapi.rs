@@ -161,7 +161,7 @@ fn problems_of(operation: &str) -> &'static [Kind] {
             &[InvalidQuery, UnknownScene, SceneDamaged, SceneTooLarge, NotFound, NoMemory, ShuttingDown]
         }
         "get_elements" => &[UnknownScene, SceneDamaged],
-        "render_scene" => &[InvalidQuery, UnknownScene, SceneDamaged, VersionForgotten],
+        "render_scene" => &[InvalidQuery, UnknownScene, SceneDamaged, VersionForgotten, NoMemory, ShuttingDown],
         "sample_light" => &[
             InvalidJson,
             UnknownScene,
