@@ -122,7 +122,6 @@ async function open(id: string): Promise<void> {
   nameCameras(scene);
   useCamera();
   stopStream = streamInWorker(worker, client, id, streamed);
-  jobs = await client.jobs(id);
   void listen(id);
   await editor.refresh();
   panels();
@@ -183,15 +182,26 @@ async function listen(id: string): Promise<void> {
   const { signal } = events;
   for await (const { type, data } of client.events(id, signal)) {
     if (signal.aborted) return;
-    if (type === 'job') told(data);
+    // Awaited, so that no older list comes after what events tell of a job.
+    if (type === 'scene_state') await attempt(() => listJobs(id));
+    else if (type === 'job') told(data);
     else if (type === 'scene' && data.what === 'deleted') void attempt(() => listScenes());
     else if (type === 'scene') void attempt(refresh);
-    else if (type === 'reset') void attempt(async () => ((jobs = await client.jobs(id)), refresh()));
+    else if (type === 'reset') await attempt(() => listJobs(id).then(refresh));
     else if (type === 'snapshot' && scene) {
       scene.estimated_rmse = data.estimated_rmse;
       if (data.elements_version > scene.elements_version) void attempt(refresh);
     }
   }
+}
+
+/** Only once its events are heard: what ended before would never be told. */
+async function listJobs(id: string): Promise<void> {
+  const all = await client.jobs(id);
+  if (scene?.id !== id) return;
+  jobs = all;
+  panelsOfWork();
+  settle();
 }
 
 function told(job: Job): void {
@@ -216,7 +226,6 @@ let isLost = false;
 async function caughtUp(): Promise<void> {
   if (!scene) return;
   events.abort();
-  jobs = await client.jobs(scene.id);
   void listen(scene.id);
   await refresh();
 }

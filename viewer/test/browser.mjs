@@ -18,7 +18,7 @@ import { checkScenes } from './scenes.mjs';
 import { checkTools } from './tools.mjs';
 
 const [base, room, objectName, shots] = process.argv.slice(2);
-const PATIENCE = 60_000;
+const PATIENCE = 120_000;
 const token = process.env.TOKEN;
 
 function check(is, text) {
