@@ -84,6 +84,8 @@ pub struct Limits {
     /// Bytes of memory of all scenes, assets and uploads under way together; one that would not fit is refused before
     /// it is built.
     pub memory_bytes: u64,
+    /// Bytes of large answers that are made or sent at the same time.
+    pub answer_bytes: u64,
     /// Scenes.
     pub scenes: usize,
     /// Assets.
@@ -143,6 +145,10 @@ pub struct Timeouts {
     pub upload_answer: Duration,
     /// For a scene to be prepared, of a request that comes before it is.
     pub preparing: Duration,
+    /// An answer of which nothing is taken in for so long gives way where others need its room.
+    pub answer_stall: Duration,
+    /// For room for a large answer.
+    pub answer_room: Duration,
     /// Between two comments on a silent event stream.
     pub keep_alive: Duration,
     /// From the shutdown signal to the end of the last connection.
@@ -192,7 +198,7 @@ impl Default for Limits {
     fn default() -> Limits {
         Limits {
             upload_bytes: 512 << 20,
-            drain_bytes: 64 << 20,
+            drain_bytes: 1 << 30,
             edit_bytes: 1 << 20,
             concurrent_uploads: 2,
             connections: 1024,
@@ -202,6 +208,8 @@ impl Default for Limits {
             elements: 20_000_000,
             atlas_texels: rebake_core::atlas::DEFAULT_MAX_TEXELS,
             memory_bytes: crate::memory::default_limit(),
+            // With little memory one answer at a time is still let through.
+            answer_bytes: (crate::memory::default_limit() / 16).clamp(64 << 20, 1 << 30),
             scenes: 64,
             assets: 1024,
             asset_bytes: 4 << 30,
@@ -236,6 +244,8 @@ impl Default for Timeouts {
             upload_slot: Duration::from_secs(60),
             upload_answer: Duration::from_millis(500),
             preparing: Duration::from_secs(60),
+            answer_stall: Duration::from_secs(5),
+            answer_room: Duration::from_secs(60),
             keep_alive: Duration::from_secs(15),
             shutdown: Duration::from_secs(10),
             write: Duration::from_secs(60),

@@ -5,6 +5,7 @@
 //! `pictures` the only one that draws it.
 //! Nothing but `server` and `api` knows HTTP, and no light is computed on an async thread.
 
+mod answers;
 pub mod api;
 pub mod auth;
 mod bands;

@@ -4,6 +4,7 @@ use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
+use hyper::Request;
 use hyper::service::{Service, service_fn};
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::conn::auto::Builder;
@@ -14,7 +15,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::oneshot;
 use tokio_io_timeout::TimeoutStream;
 
-use crate::api;
+use crate::api::{self, Turns};
 use crate::config::Config;
 use crate::connections::{Connections, Place, first_bytes};
 use crate::restore;
@@ -119,8 +120,10 @@ async fn connection(app: Arc<App>, router: axum::Router, mut stream: TcpStream, 
     let (read, write) = tokio::io::split(Box::pin(stream));
     let io = TokioIo::new(tokio::io::join(std::io::Cursor::new(first).chain(read), write));
     let router = TowerToHyperService::new(router);
-    let service = service_fn(move |request| {
+    let turns = Turns::new();
+    let service = service_fn(move |mut request: Request<_>| {
         place.has_asked();
+        request.extensions_mut().insert(turns.clone());
         router.call(request)
     });
     let served = builder.serve_connection(io, service).into_owned();

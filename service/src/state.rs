@@ -6,6 +6,7 @@ use std::sync::atomic::AtomicU64;
 
 use tokio::sync::{Semaphore, watch};
 
+use crate::answers::Answers;
 use crate::compute::Compute;
 use crate::config::Config;
 use crate::jobs::Jobs;
@@ -48,6 +49,7 @@ pub(crate) struct App {
     pub(crate) config: Config,
     pub(crate) ids: Ids,
     pub(crate) compute: Compute,
+    pub(crate) answers: Arc<Answers>,
     pub(crate) jobs: Jobs,
     pub(crate) scenes: Arc<Scenes>,
     pub(crate) assets: Assets,
@@ -83,10 +85,11 @@ impl App {
     }
 
     fn with_store(config: Config, ids: Ids, store: Arc<dyn Store>, first_event: u64) -> Result<Arc<App>, StartError> {
-        let limits = &config.limits;
+        let (limits, timeouts) = (&config.limits, &config.timeouts);
         Ok(Arc::new(App {
             ids,
             compute: Compute::new(config.threads)?,
+            answers: Answers::new(limits.answer_bytes, timeouts.answer_stall, timeouts.answer_room),
             jobs: Jobs::new(&config)?,
             scenes: Arc::new(Scenes::new()),
             assets: Assets::new(limits.assets, limits.asset_bytes),

@@ -2,6 +2,7 @@
 
 mod access;
 mod ambient;
+mod answers;
 mod assets;
 mod atlas;
 mod browser;

@@ -33,6 +33,7 @@ mod prepare;
 mod probes;
 pub mod problem;
 mod render;
+mod room;
 mod sample;
 mod scenes;
 pub(crate) mod skies;
@@ -62,25 +63,29 @@ pub use openapi::document;
 use crate::state::App;
 use crate::store::scene::SceneEntry;
 use problem::{ApiResult, Kind, Problem};
+pub(crate) use room::Turns;
 
 /// What handlers get.
 type Shared = State<Arc<App>>;
 
 /// All routes.
 pub(crate) fn router(app: Arc<App>) -> Router {
+    let large = Router::new()
+        .route("/v1/scenes/{scene}/objects/{object}", get(objects::get))
+        .route("/v1/scenes/{scene}/lightmap", get(lightmap::get))
+        .route("/v1/scenes/{scene}/lightmap/deltas/{versions}", get(between::get))
+        .route("/v1/scenes/{scene}/elements", get(elements::get))
+        .route("/v1/scenes/{scene}/atlas/{page}", get(atlas::get_page))
+        .route_layer(from_fn_with_state(app.clone(), room::for_answers));
     Router::new()
+        .merge(large)
         .route("/v1/scenes", post(uploads::create).get(scenes::list))
         .route("/v1/scenes/{scene}", get(scenes::get).patch(scenes::patch).delete(scenes::delete))
         .route("/v1/scenes/{scene}/edits", post(edits::create).get(history::list))
         .route("/v1/scenes/{scene}/events", get(events::of_scene))
         .route("/v1/scenes/{scene}/objects", get(objects::list))
-        .route("/v1/scenes/{scene}/objects/{object}", get(objects::get))
-        .route("/v1/scenes/{scene}/lightmap", get(lightmap::get))
         .route("/v1/scenes/{scene}/lightmap/deltas", get(deltas::get))
-        .route("/v1/scenes/{scene}/lightmap/deltas/{versions}", get(between::get))
-        .route("/v1/scenes/{scene}/elements", get(elements::get))
         .route("/v1/scenes/{scene}/atlas", get(atlas::get))
-        .route("/v1/scenes/{scene}/atlas/{page}", get(atlas::get_page))
         .route("/v1/scenes/{scene}/render", get(render::get))
         .route("/v1/scenes/{scene}/sample", post(sample::create))
         .route("/v1/scenes/{scene}/probes", get(probes::get).post(probes::create))

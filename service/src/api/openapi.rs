@@ -72,8 +72,8 @@ fn problems_of(operation: &str) -> &'static [Kind] {
         AssetNeeded, AssetNotFound, EditTooLarge, InvalidJson, InvalidQuery, InvalidValue, JobEnded, KeyReused,
         MalformedFile, NameTaken, NoMemory, NotFound, NothingToTurn, ObjectNotFound, PayloadTooLarge,
         PreconditionFailed, QueueFull, Restoring, SceneDamaged, SceneTooLarge, ShuttingDown, Storage, Timeout,
-        TooManyAssets, TooManyScenes, TooManyStreams, TooManyUploads, UnknownAsset, UnknownCamera, UnknownJob,
-        UnknownLight, UnknownMaterial, UnknownObject, UnknownScene, UnknownVersion, UnsupportedFile,
+        TooManyAnswers, TooManyAssets, TooManyScenes, TooManyStreams, TooManyUploads, UnknownAsset, UnknownCamera,
+        UnknownJob, UnknownLight, UnknownMaterial, UnknownObject, UnknownScene, UnknownVersion, UnsupportedFile,
         UnsupportedMediaType, VersionAhead, VersionForgotten,
     };
     match operation {
@@ -152,15 +152,17 @@ fn problems_of(operation: &str) -> &'static [Kind] {
         "job_events" => &[UnknownJob, TooManyStreams],
         "scene_events" => &[UnknownScene, SceneDamaged, TooManyStreams],
         "list_objects" => &[InvalidQuery, UnknownScene, SceneDamaged],
-        "get_object" => &[InvalidQuery, UnknownScene, SceneDamaged, ObjectNotFound],
-        "get_lightmap" => &[InvalidQuery, UnknownScene, SceneDamaged, SceneTooLarge, NoMemory, ShuttingDown],
+        "get_object" => &[InvalidQuery, UnknownScene, SceneDamaged, ObjectNotFound, TooManyAnswers],
+        "get_lightmap" => {
+            &[InvalidQuery, UnknownScene, SceneDamaged, SceneTooLarge, TooManyAnswers, NoMemory, ShuttingDown]
+        }
         "get_deltas" => &[InvalidQuery, UnknownScene, SceneDamaged, VersionAhead, TooManyStreams],
-        "get_delta_between" => &[UnknownScene, SceneDamaged, UnknownVersion, VersionForgotten],
+        "get_delta_between" => &[UnknownScene, SceneDamaged, UnknownVersion, VersionForgotten, TooManyAnswers],
         "get_atlas" => &[UnknownScene, SceneDamaged, SceneTooLarge],
         "get_atlas_page" => {
-            &[InvalidQuery, UnknownScene, SceneDamaged, SceneTooLarge, NotFound, NoMemory, ShuttingDown]
+            &[InvalidQuery, UnknownScene, SceneDamaged, SceneTooLarge, NotFound, TooManyAnswers, NoMemory, ShuttingDown]
         }
-        "get_elements" => &[UnknownScene, SceneDamaged],
+        "get_elements" => &[UnknownScene, SceneDamaged, TooManyAnswers],
         "render_scene" => &[InvalidQuery, UnknownScene, SceneDamaged, VersionForgotten, NoMemory, ShuttingDown],
         "sample_light" => &[
             InvalidJson,

@@ -167,6 +167,7 @@ kinds! {
     KeyReused "idempotency-key-reused" UNPROCESSABLE_ENTITY "Idempotency key reused" "The key came with another body before.";
     QueueFull "queue-full" TOO_MANY_REQUESTS "Queue full" "Too many jobs wait already.";
     TooManyUploads "too-many-uploads" TOO_MANY_REQUESTS "Too many uploads" "Too many uploads are under way.";
+    TooManyAnswers "too-many-answers" TOO_MANY_REQUESTS "Too many answers" "Clients take in too little of the large answers that they asked for.";
     TooManyStreams "too-many-streams" TOO_MANY_REQUESTS "Too many streams" "Too many event and delta streams are open.";
     SceneDamaged "scene-damaged" INTERNAL_SERVER_ERROR "Scene damaged" "The scene cannot be built, or what was kept of it cannot be read any more. It can be looked at and deleted.";
     Internal "internal" INTERNAL_SERVER_ERROR "Internal error" "The service failed. Nothing that was acknowledged is lost.";
