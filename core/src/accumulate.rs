@@ -4,7 +4,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::estimate::Estimate;
-use crate::scatter::scatter_of_neighbours;
+use crate::scatter::{pooled_with_neighbours, scatter_of_neighbours};
 use crate::value::Value;
 use crate::world::{Stated, World};
 
@@ -20,8 +20,8 @@ pub(crate) struct Accumulator<V> {
     squares: Vec<f32>,
     /// Σ n |light − mean|² per layer, mean over RGB, layers of a slot side by side; empty for one layer.
     layer_squares: Vec<f32>,
-    /// Variance of the mean, of the whole and per layer, while there is one round alone.
-    guess: Option<(Vec<f32>, Vec<f32>)>,
+    /// Variance of the mean, of the whole and per layer, as neighbours tell it too.
+    told: Option<(Vec<f32>, Vec<f32>)>,
     samples: u32,
     rounds: u32,
     /// Σ over slots of the variance of the mean, as the last round and the mean of those before it tell it.
@@ -42,7 +42,7 @@ impl<V: Value> Accumulator<V> {
             stated,
             squares: Vec::new(),
             layer_squares: Vec::new(),
-            guess: None,
+            told: None,
             samples: 0,
             rounds: 0,
             by_last: 0.0,
@@ -60,7 +60,7 @@ impl<V: Value> Accumulator<V> {
         let (before, layers) = (self.samples, self.weights.len());
         self.samples += samples;
         self.rounds += 1;
-        self.guess = None;
+        self.told = None;
         if before == 0 {
             std::mem::swap(&mut self.mean, light);
             self.squares = vec![0.0; self.mean.direct.len()];
@@ -84,20 +84,28 @@ impl<V: Value> Accumulator<V> {
         (self.by_last, self.by_all) = (added / f64::from(self.samples), all * self.per_square());
     }
 
-    /// Guesses the variance of a first round, which has no other to scatter about.
-    pub(crate) fn guess_variance(&mut self, world: &World) {
-        if self.rounds != 1 {
-            return;
-        }
-        let light = |slot: usize| self.stated.of(self.mean.direct[slot], self.mean.indirect[slot]);
-        let whole = scatter_of_neighbours(world, |slot| light(slot).weighted(&self.weights));
+    /// Has neighbours tell the variance, too: all of it of a first round, which has no other to scatter about, and more
+    /// of it the fewer rounds there are.
+    pub(crate) fn ask_neighbours(&mut self, world: &World) {
         let layers = self.weights.len();
+        let light = |slot: usize| self.stated.of(self.mean.direct[slot], self.mean.indirect[slot]);
+        let scatter = self.scatter();
+        let freedom = self.rounds.saturating_sub(1) as f32;
+        let has_light = |slot: usize| light(slot) != V::default() || self.squares[slot] > 0.0;
+        let whole = match self.rounds {
+            0 => return,
+            1 => scatter_of_neighbours(world, |slot| light(slot).weighted(&self.weights)),
+            _ => pooled_with_neighbours(world, freedom, has_light, |slot| scatter.of_whole(slot)),
+        };
         let mut of_layers = vec![0.0; if layers > 1 { layers * whole.len() } else { 0 }];
         for layer in 0..layers.min(of_layers.len()) {
-            let variance = scatter_of_neighbours(world, |slot| light(slot).layer(layer));
+            let variance = match self.rounds {
+                1 => scatter_of_neighbours(world, |slot| light(slot).layer(layer)),
+                _ => pooled_with_neighbours(world, freedom, has_light, |slot| scatter.of_layer(layer, slot)),
+            };
             variance.into_iter().enumerate().for_each(|(slot, v)| of_layers[slot * layers + layer] = v);
         }
-        self.guess = Some((whole, of_layers));
+        self.told = Some((whole, of_layers));
     }
 
     /// Mean of all rounds.
@@ -118,9 +126,9 @@ impl<V: Value> Accumulator<V> {
     /// Variance of the mean of what is stated, mean over RGB: with rounds x_r of n_r samples and variance σ²/n_r,
     /// Σ n_r (x_r − x̄)² / (R − 1) estimates σ², and the mean has σ² / Σ n_r. Low-discrepancy samples do better than
     /// 1/n: the whole is scaled to what the last round and those before it, which weigh most, say. Of one round it is
-    /// guessed, where [`Accumulator::guess_variance`] was asked; else zero while nothing is known.
+    /// guessed, and of few rounds pooled, where [`Accumulator::ask_neighbours`] was asked; else zero while nothing is known.
     pub(crate) fn scatter(&self) -> Scatter<'_> {
-        if let Some((whole, layers)) = &self.guess {
+        if let Some((whole, layers)) = &self.told {
             let layers = if self.weights.len() > 1 { layers } else { whole };
             return Scatter { whole, layers, count: self.weights.len(), factor: 1.0 };
         }

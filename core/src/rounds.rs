@@ -167,6 +167,9 @@ impl Rounds<'_> {
             round(&Round { samples, seed: subseed(self.seed, index), sum: &sum, begin: &begin }, &mut light)?;
             sum.add(samples, &mut light);
         }
+        if sum.knows_variance() {
+            sum.ask_neighbours(self.world);
+        }
         Ok(Some(sum))
     }
 
@@ -208,8 +211,8 @@ impl Rounds<'_> {
             let begin = |pass, fraction| observer.progress(&progress(pass, samples, fraction));
             round(&Round { samples, seed: subseed(self.seed, index), sum: &sum, begin: &begin }, &mut light)?;
             sum.add(samples, &mut light);
-            if self.guesses {
-                sum.guess_variance(self.world);
+            if self.guesses || sum.knows_variance() {
+                sum.ask_neighbours(self.world);
             }
             let map = Arc::new(compose(&sum));
             estimated_rmse = stated(&map);

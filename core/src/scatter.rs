@@ -1,6 +1,8 @@
-//! Variance of a light map from one round alone: from how values scatter about those of their neighbours. Light is
-//! smooth along a surface but for the edges of shadows, noise is not; so a first map knows its error, too, until more
-//! rounds tell it.
+//! What the neighbours of an element tell of its variance.
+//!
+//! Of one round alone: how values scatter about those of their neighbours. Light is smooth along a surface but for the
+//! edges of shadows, noise is not; so a first map knows its error, too. Of few rounds: variances are alike along a
+//! surface, and each by itself has one degree of freedom less than there are rounds.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -44,6 +46,43 @@ pub(crate) fn scatter_of_neighbours(world: &World, light: impl Fn(usize) -> Vec3
     variance
 }
 
+/// Degrees of freedom that neighbours count for, together.
+const NEIGHBOURS: f32 = 8.0;
+
+/// Per slot: `variances`, each of so many degrees of freedom, as the mean of itself and of what its neighbours have. An
+/// element whose few rounds came out alike by chance is not as good as known; one of which nothing is `estimated` takes
+/// part in nothing.
+pub(crate) fn pooled_with_neighbours(
+    world: &World,
+    freedom: f32,
+    estimated: impl Fn(usize) -> bool + Sync,
+    variance: impl Fn(usize) -> f32 + Sync,
+) -> Vec<f32> {
+    let mut pooled = vec![0.0; world.slots()];
+    for placed in &world.placed {
+        for side in placed.sides() {
+            let own = side.start as usize..side.end as usize;
+            let first = own.start;
+            let pool = |(element, pooled): (usize, &mut f32)| {
+                if !estimated(first + element) {
+                    return;
+                }
+                let slots = placed.layout.neighbours_of(element as u32).iter().map(|&e| first + e as usize);
+                let (sum, count) = slots
+                    .filter(|&slot| world.is_valid(slot) && estimated(slot))
+                    .fold((0.0, 0.0), |(sum, count), slot| (sum + variance(slot), count + 1.0));
+                let by_itself = variance(first + element);
+                *pooled = match count > 0.0 {
+                    true => (freedom * by_itself + NEIGHBOURS * sum / count) / (freedom + NEIGHBOURS),
+                    false => by_itself,
+                };
+            };
+            pooled[own].par_iter_mut().enumerate().with_min_len(CHUNK).for_each(pool);
+        }
+    }
+    pooled
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -51,13 +90,44 @@ mod tests {
     use crate::scene::{Material, Mesh, Object, Scene};
     use crate::world::WorldOptions;
 
-    /// Noise of a known variance on light that rises along a wall: the mean of what is found is that variance.
-    #[test]
-    fn noise_is_told_from_a_gradient() {
+    fn wall() -> World {
         let wall =
             Object::new("wall", Mesh::quad(Vec3::ZERO, Vec3::X * 2.0, Vec3::Z * 2.0), Material::diffuse(Vec3::ONE));
         let options = WorldOptions { spacing: Some(0.03), ..WorldOptions::default() };
-        let world = World::new(Scene::from_objects(vec![wall]), &options).expect("a wall");
+        World::new(Scene::from_objects(vec![wall]), &options).expect("a wall")
+    }
+
+    /// Of two degrees of freedom each: the mean is the same, and far fewer elements are sure of what they do not know.
+    #[test]
+    fn few_rounds_are_told_by_neighbours_too() {
+        let world = wall();
+        let mut rng = Pcg32::new(5, 2);
+        // A sum of twelve uniform numbers of variance 1/12: normal but for its far tails.
+        let mut normal = || (0..12).map(|_| rng.next_f32()).sum::<f32>() - 6.0;
+        let draws: Vec<(f32, f32)> =
+            world.positions().iter().map(|_| (normal(), (normal().powi(2) + normal().powi(2)) / 2.0)).collect();
+        let is_dark = |slot: usize| slot % 97 == 0;
+        let pooled = pooled_with_neighbours(&world, 2.0, |slot| !is_dark(slot), |slot| draws[slot].1);
+        let lit: Vec<usize> = (0..draws.len()).filter(|&slot| !is_dark(slot)).collect();
+        let count = lit.len() as f64;
+        let surprised = |variance: &dyn Fn(usize) -> f32| {
+            lit.iter().filter(|&&slot| draws[slot].0.powi(2) > 9.0 * variance(slot)).count() as f64 / count
+        };
+        // Student's distribution of two degrees of freedom; with some eight more it is close to a normal one.
+        assert!(surprised(&|slot| draws[slot].1) > 0.07);
+        let share = surprised(&|slot| pooled[slot]);
+        assert!(share < 0.02, "{share}");
+        let mean = lit.iter().map(|&slot| f64::from(pooled[slot])).sum::<f64>() / count;
+        // Each has the variance 1 of two degrees of freedom; those on the edge count for more than others.
+        let deviation = (1.5 / count).sqrt();
+        assert!((mean - 1.0).abs() < 5.0 * deviation, "{mean} +- {deviation}");
+        assert!((0..draws.len()).filter(|&slot| is_dark(slot)).all(|slot| pooled[slot] == 0.0));
+    }
+
+    /// Noise of a known variance on light that rises along a wall: the mean of what is found is that variance.
+    #[test]
+    fn noise_is_told_from_a_gradient() {
+        let world = wall();
         let mut rng = Pcg32::new(3, 1);
         let light: Vec<Vec3> = world
             .positions()
