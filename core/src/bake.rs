@@ -8,12 +8,11 @@ use rayon::prelude::*;
 
 use crate::accumulate::Accumulator;
 use crate::ambient::with_ambient;
-use crate::estimate::Estimate;
 use crate::focus::Focus;
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer, Pass, Progress, Snapshot};
 use crate::layers::{Apart, Computed, Header, Stack, groups_of, weights_of, weights_within};
-use crate::lightmap::LightMap;
+use crate::lightmap::{LightMap, LightValues};
 use crate::random::subseed;
 use crate::rounds::{First, Goal, Phase, Round, Rounds};
 use crate::solve::{Exchange, Paths, Rows, Subset};
@@ -109,7 +108,7 @@ fn bake_stack<V: Value>(
     let phase = if first.is_some() { Phase::Rest } else { Phase::Whole };
     let Goal { budget, seed, guesses, .. } = *goal;
     let rounds = Rounds { world, weights, budget, seed, work, phase, guesses };
-    let round = |r: &Round<V>, out: &mut Estimate<V>| {
+    let round = |r: &Round<V>, out: &mut LightValues<V>| {
         baker.show_estimate(r, finish, goal)?;
         baker.round(r, out)
     };
@@ -159,7 +158,7 @@ impl<'a> Baker<'a> {
         let (world, weights) = (self.world, self.weights);
         let rounds =
             Rounds { world, weights, budget, seed, work: self.work, phase: Phase::Part, guesses: goal.guesses };
-        let round = |r: &Round<V>, out: &mut Estimate<V>| {
+        let round = |r: &Round<V>, out: &mut LightValues<V>| {
             self.show_estimate(r, finish, goal)?;
             self.round_at(r, &seen, out)
         };
@@ -194,16 +193,16 @@ impl<'a> Baker<'a> {
     }
 
     /// One independent estimate of direct and indirect light.
-    pub(crate) fn round<V: Value>(&self, round: &Round<V>, out: &mut Estimate<V>) -> Result<(), Canceled> {
+    pub(crate) fn round<V: Value>(&self, round: &Round<V>, out: &mut LightValues<V>) -> Result<(), Canceled> {
         self.round_at(round, &self.slots, out)
     }
 
     /// One independent estimate of direct and indirect light. Indirect light is gathered in some slots only; elsewhere
     /// it is that of the solution on the subset.
-    fn round_at<V: Value>(&self, round: &Round<V>, wanted: &[u32], out: &mut Estimate<V>) -> Result<(), Canceled> {
+    fn round_at<V: Value>(&self, round: &Round<V>, wanted: &[u32], out: &mut LightValues<V>) -> Result<(), Canceled> {
         let (world, work) = (self.world, self.work);
         out.blacken(world.slots());
-        let Estimate { direct, indirect } = out;
+        let LightValues { direct, indirect, .. } = out;
         (round.begin)(Pass::Direct, 0.0);
         // Earlier rounds choose the number of samples, never what they find: the mean stays free of bias.
         let effort = match round.sum.knows_variance() {

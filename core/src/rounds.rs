@@ -3,12 +3,11 @@
 use std::sync::Arc;
 
 use crate::accumulate::Accumulator;
-use crate::estimate::Estimate;
 use crate::focus::Focus;
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Pass, Progress, Snapshot};
 use crate::layers::Stack;
-use crate::lightmap::LightMap;
+use crate::lightmap::{LightMap, LightValues};
 use crate::random::subseed;
 use crate::transport::Work;
 use crate::value::Value;
@@ -135,12 +134,12 @@ impl Rounds<'_> {
     /// Runs them for a part of the map that is shown when it is done; none where the observer ends it before.
     pub(crate) fn run_quietly<V: Value>(
         &self,
-        mut round: impl FnMut(&Round<V>, &mut Estimate<V>) -> Result<(), Canceled>,
+        mut round: impl FnMut(&Round<V>, &mut LightValues<V>) -> Result<(), Canceled>,
     ) -> Result<Option<Accumulator<V>>, Canceled> {
         let (budget, work) = (self.budget, self.work);
         let observer = work.observer();
         let mut sum = Accumulator::new(self.weights, self.world.stated());
-        let mut light = Estimate::default();
+        let mut light = LightValues::default();
         for index in 0.. {
             let left = budget.samples_per_element.saturating_sub(sum.samples());
             if left == 0 {
@@ -176,13 +175,13 @@ impl Rounds<'_> {
         &self,
         stated: impl Fn(&LightMap) -> Option<f32>,
         enough: impl Fn(&Accumulator<V>) -> bool,
-        mut round: impl FnMut(&Round<V>, &mut Estimate<V>) -> Result<(), Canceled>,
+        mut round: impl FnMut(&Round<V>, &mut LightValues<V>) -> Result<(), Canceled>,
         mut compose: impl FnMut(&Accumulator<V>) -> LightMap,
     ) -> Result<Option<Arc<LightMap>>, Canceled> {
         let Rounds { budget, work, phase, .. } = *self;
         let observer = work.observer();
         let mut sum = Accumulator::new(self.weights, self.world.stated());
-        let mut light = Estimate::default();
+        let mut light = LightValues::default();
         let mut last: Option<Arc<LightMap>> = None;
         let mut estimated_rmse = None;
         for index in 0.. {

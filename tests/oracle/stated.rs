@@ -28,7 +28,7 @@ fn full(map: &LightMap, slot: usize) -> Vec3 {
 }
 
 fn indirect(map: &LightMap, slot: usize) -> Vec3 {
-    map.indirect[slot]
+    map.light.indirect[slot]
 }
 
 /// A client of indirect light is told the error of indirect light, by bakes and by updates.

@@ -8,9 +8,9 @@ use std::sync::Arc;
 use super::extent::Extent;
 use super::updater::{Extents, Updater};
 use crate::accumulate::Accumulator;
-use crate::estimate::Estimate;
 use crate::focus::Focus;
 use crate::job::Canceled;
+use crate::lightmap::LightValues;
 use crate::random::subseed;
 use crate::rounds::{First, Goal, Phase, Round, Rounds};
 use crate::solve::Rows;
@@ -27,7 +27,7 @@ const LARGE: f64 = 0.1;
 #[derive(Clone)]
 pub(super) struct Known<V> {
     /// Before any bounce; black where somebody looks.
-    pub parts: Estimate<V>,
+    pub parts: LightValues<V>,
     pub bounces: Arc<[V]>,
     /// Of new rows.
     pub indirect: Arc<[V]>,
@@ -108,7 +108,7 @@ impl<V: Value> Updater<'_, V> {
     }
 
     /// Estimates everything; element by element where somebody looks and that is much. Answers that estimate, too.
-    fn estimate_all(&self, round: &Round<V>, look: &Look<V>) -> Result<(Known<V>, Estimate<V>), Canceled> {
+    fn estimate_all(&self, round: &Round<V>, look: &Look<V>) -> Result<(Known<V>, LightValues<V>), Canceled> {
         let samples = if look.is_large { round.samples } else { UNSEEN_SAMPLES };
         let known = self.know(round, samples, |slot| look.is_large && look.is_seen[slot as usize])?;
         let mut estimate = known.parts.clone();
@@ -123,7 +123,7 @@ impl<V: Value> Updater<'_, V> {
 
     fn know(&self, round: &Round<V>, samples: u32, is_fine: impl Fn(u32) -> bool) -> Result<Known<V>, Canceled> {
         let round = Round { samples, seed: subseed(round.seed, 0xa11), ..*round };
-        let mut parts = Estimate::default();
+        let mut parts = LightValues::default();
         parts.blacken(self.world.slots());
         self.arriving(&round, &self.extents(is_fine), (&self.transition.new_rows, None), &mut parts)?;
         let bounces = self.propagate(&parts, &round, None, &[])?;
@@ -131,7 +131,7 @@ impl<V: Value> Updater<'_, V> {
         Ok(Known { parts, bounces: bounces.into(), indirect })
     }
 
-    pub(super) fn round_of(&self, round: &Round<V>, look: &Look<V>, out: &mut Estimate<V>) -> Result<(), Canceled> {
+    pub(super) fn round_of(&self, round: &Round<V>, look: &Look<V>, out: &mut LightValues<V>) -> Result<(), Canceled> {
         let Known { parts, bounces, indirect } = match look.known.get() {
             Some(known) => known,
             None => {

@@ -30,11 +30,10 @@ use self::layers::update_layers;
 use self::updater::Updater;
 use crate::accumulate::Accumulator;
 use crate::bake::Baker;
-use crate::estimate::Estimate;
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer};
 use crate::layers::{Apart, Old};
-use crate::lightmap::LightMap;
+use crate::lightmap::{LightMap, LightValues};
 use crate::random::subseed;
 use crate::refine::refine_with;
 use crate::rounds::{Goal, Phase, Round, Rounds};
@@ -97,7 +96,7 @@ fn update_whole(
     goal: &Goal,
     work: &Work,
 ) -> Result<Option<Updated>, Canceled> {
-    let (old, finish) = (Old::of_map(map, transition), Apart::into_map);
+    let (old, finish) = (Old::new(vec![&map.light], &map.light.variance, transition), Apart::into_map);
     let (weights, guides) = (&[Vec3::ONE], &[Vec3::ONE]);
     let stage = Stage { transition, old, weights, guides, around: None, finish: &finish };
     run_stage::<Vec3>(&stage, goal, work)
@@ -128,7 +127,7 @@ pub(crate) fn run_stage<V: Value>(stage: &Stage, goal: &Goal, work: &Work) -> Re
     let first = updater.come_first(goal, work)?;
     let extents = updater.extents(|_| true);
     let baker = OnceCell::new();
-    let round = |r: &Round<V>, out: &mut Estimate<V>| {
+    let round = |r: &Round<V>, out: &mut LightValues<V>| {
         if baker.get().is_none() {
             updater.round(r, &extents, out)?;
             if r.sum.samples() > 0 || !updater.outgrows_the_light(out) {

@@ -7,8 +7,8 @@ use rayon::prelude::*;
 
 use super::allotment::{ALBEDO, Allotment};
 use super::updater::{CHUNK, Updater};
-use crate::estimate::Estimate;
 use crate::job::{Canceled, Pass};
+use crate::lightmap::LightValues;
 use crate::random::{Pcg32, subseed};
 use crate::rounds::Round;
 use crate::solve::{Exchange, Paths, Rows};
@@ -115,7 +115,7 @@ impl<V: Value> Updater<'_, V> {
     /// mean light, 5.5 % with it).
     pub(super) fn propagate(
         &self,
-        parts: &Estimate<V>,
+        parts: &LightValues<V>,
         round: &Round<V>,
         known: Option<(&Arc<Rows>, &[V])>,
         near: &[u32],
@@ -180,7 +180,7 @@ impl<V: Value> Updater<'_, V> {
         gather(self.world, &source, slots, round.samples, &Effort::default(), seed, self.work)
     }
 
-    fn change(&self, Estimate { direct, indirect }: &Estimate<V>) -> Change<'_, V> {
+    fn change(&self, LightValues { direct, indirect, .. }: &LightValues<V>) -> Change<'_, V> {
         let seen = |light: &(dyn Fn(usize) -> V + Sync)| -> Vec<V> {
             let mut seen = self.buffers.take();
             let slots = self.is_static.par_iter().enumerate().with_min_len(CHUNK);

@@ -90,7 +90,7 @@ impl<V: Value> Updater<'_, V> {
         let mut stack = self.old().clone();
         for &slot in &self.transition.new_rows {
             let slot = slot as usize;
-            (stack.direct[slot], stack.indirect[slot]) = (known.parts.direct[slot], known.indirect[slot]);
+            (stack.light.direct[slot], stack.light.indirect[slot]) = (known.parts.direct[slot], known.indirect[slot]);
         }
         stack.fill_invalid(&self.world.validity);
         stack

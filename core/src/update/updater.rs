@@ -10,10 +10,9 @@ use super::extent::Extent;
 use super::propagate::Aims;
 use super::{Stage, direct, source};
 use crate::accumulate::Accumulator;
-use crate::estimate::Estimate;
 use crate::job::{Canceled, Pass};
 use crate::layers::{Apart, Stack};
-use crate::lightmap::LightMap;
+use crate::lightmap::{LightMap, LightValues};
 use crate::rounds::{First, Round};
 use crate::solve::{Rows, Subset};
 use crate::transport::{Spots, Work};
@@ -139,7 +138,7 @@ impl<'a, V: Value> Updater<'a, V> {
     }
 
     /// One independent estimate: changes on static rows, values on new rows.
-    pub(super) fn round(&self, round: &Round<V>, extents: &Extents, out: &mut Estimate<V>) -> Result<(), Canceled> {
+    pub(super) fn round(&self, round: &Round<V>, extents: &Extents, out: &mut LightValues<V>) -> Result<(), Canceled> {
         out.blacken(self.world.slots());
         let known = (round.sum.samples() > 0).then(|| round.sum.mean().indirect.as_slice());
         self.arriving(round, extents, (&self.transition.new_rows, known), out)?;
@@ -157,10 +156,10 @@ impl<'a, V: Value> Updater<'a, V> {
         round: &Round<V>,
         extents: &Extents,
         (new_rows, known): (&[u32], Option<&[V]>),
-        parts: &mut Estimate<V>,
+        parts: &mut LightValues<V>,
     ) -> Result<(), Canceled> {
         let (world, work) = (self.world, self.work);
-        let Estimate { direct, indirect } = parts;
+        let LightValues { direct, indirect, .. } = parts;
         (round.begin)(Pass::Direct, 0.0);
         self.direct.estimate(&extents.direct, &self.subset, round.samples, round.seed, work, direct)?;
 
@@ -184,7 +183,7 @@ impl<'a, V: Value> Updater<'a, V> {
 
     /// Whether the change is so large beside the light that is left that a bake is the better update:
     /// what the subset gets wrong of it would show. The new rows' own light is no change.
-    pub(super) fn outgrows_the_light(&self, Estimate { direct, indirect }: &Estimate<V>) -> bool {
+    pub(super) fn outgrows_the_light(&self, LightValues { direct, indirect, .. }: &LightValues<V>) -> bool {
         let (areas, guides, light) = (self.world.areas(), self.stage.guides, self.light.borrow());
         let (mut change, mut left) = (0.0f64, 0.0f64);
         for &slot in &self.static_rows {
