@@ -1,6 +1,5 @@
 //! Light maps from scratch, by the propagator of the updates: the source is the direct light.
 
-use std::cell::OnceCell;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -8,13 +7,12 @@ use rayon::prelude::*;
 
 use crate::accumulate::Accumulator;
 use crate::ambient::with_ambient;
-use crate::focus::Focus;
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer, Pass, Progress, Snapshot};
-use crate::layers::{Apart, Computed, Header, Stack, groups_of, weights_of, weights_within};
+use crate::layers::{Apart, Computed, Header, groups_of, weights_of, weights_within};
 use crate::lightmap::{LightMap, LightValues};
 use crate::random::subseed;
-use crate::rounds::{First, Goal, Phase, Round, Rounds};
+use crate::rounds::{Estimator, Goal, Phase, Round};
 use crate::solve::{Exchange, Paths, Rows, Subset};
 use crate::transport::direct::direct_at;
 use crate::transport::{Effort, Field, Hint, Work, blacken, for_slots, gathered};
@@ -96,132 +94,152 @@ fn bake_stack<V: Value>(
     work: &Work,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
     let baker = Baker::new(world, weights, goal.seed, work);
-    let first = goal.focus().map(|focus| baker.look_first(focus, finish, goal)).transpose()?.flatten();
-    let compose = |sum: &Accumulator<V>| {
+    let show = |direct: Vec<V>, round: &Round| baker.show_estimate(direct, round, finish);
+    let shows = goal.estimates && work.observer().wants_estimates();
+    let all = BakeRounds { show: shows.then_some(&show), ..baker.rounds() };
+    let is_seen = goal.focus().map(|focus| focus.covers(world)).unwrap_or_default();
+    let seen: Vec<u32> =
+        baker.slots.iter().copied().filter(|&slot| is_seen.get(slot as usize) == Some(&true)).collect();
+    let (first, prior) = match seen.is_empty() {
+        true => (None, None),
+        false => {
+            // The rest is shown as the solution on the subset has it.
+            let rounds = goal.rounds(world, weights, work, Phase::Part);
+            rounds.run_first(&BakeRounds { wanted: &seen, ..all }, &is_seen, None, finish)?
+        }
+    };
+    let compose = |sum: &Accumulator<V>, _: &Prior| {
         let Some(first) = &first else { return finish(Apart::of_mean(sum, None, &world.validity)) };
-        let mut stack = Stack::of_mean(sum, None, &world.validity);
-        first.merge(&mut stack, sum.samples(), baker.slots.iter().copied(), None);
-        stack.fill_invalid(&world.validity);
+        let stack = first.merged(sum, baker.slots.iter().copied(), &world.validity);
         finish(Apart::of_stack(&stack, weights.len()))
     };
     let stated = |map: &LightMap| Some(map.estimated_rmse(world.areas()));
     let phase = if first.is_some() { Phase::Rest } else { Phase::Whole };
-    let Goal { budget, seed, guesses, .. } = *goal;
-    let rounds = Rounds { world, weights, budget, seed, work, phase, guesses };
-    let round = |r: &Round<V>, out: &mut LightValues<V>| {
-        baker.show_estimate(r, finish, goal)?;
-        baker.round(r, out)
-    };
-    rounds.run(stated, |_| false, round, compose)
+    let rounds = goal.rounds(world, weights, work, phase);
+    Ok(rounds.run_and_show(&all, prior, stated, |_| false, compose)?.0)
 }
 
-/// What all rounds of a bake share.
+/// What all rounds of a bake share: a function of the world, its layers and the seed.
 pub(crate) struct Baker<'a> {
     world: &'a World,
     slots: Vec<u32>,
     subset: Subset,
     rows: Arc<Rows>,
-    hint: OnceCell<Hint>,
     /// What each layer weighs in the whole.
     weights: &'a [Vec3],
     seed: u64,
     work: &'a Work<'a>,
 }
 
+/// What rounds of a bake go by.
+pub(crate) struct Prior {
+    /// From the world and the bake's seed.
+    hint: Hint,
+    /// From the variance of all rounds so far.
+    effort: Effort,
+}
+
+/// Shows direct light.
+type Show<'a, V> = dyn Fn(Vec<V>, &Round) -> Result<(), Canceled> + 'a;
+
+/// Rounds of a bake.
+#[derive(Clone, Copy)]
+pub(crate) struct BakeRounds<'a, V> {
+    baker: &'a Baker<'a>,
+    /// Slots, ascending, where indirect light is gathered; elsewhere it is that of the solution on the subset.
+    wanted: &'a [u32],
+    /// Shows what is known of direct light before anything else is.
+    show: Option<&'a Show<'a, V>>,
+}
+
+impl<V: Value> Estimator<V> for BakeRounds<'_, V> {
+    type Prior = Prior;
+
+    fn first_round(&self, known: Option<Prior>, round: &Round, out: &mut LightValues<V>) -> Result<Prior, Canceled> {
+        let hint = match known {
+            Some(prior) => prior.hint,
+            None => {
+                (round.begin)(Pass::Direct, 0.0);
+                self.hint(round)?
+            }
+        };
+        let prior = Prior { hint, effort: Effort::default() };
+        self.round(&prior, round, out)?;
+        Ok(prior)
+    }
+
+    /// Earlier rounds choose the number of samples, never what they find: the mean stays free of bias.
+    fn prior(&self, last: Prior, sum: &Accumulator<V>) -> Prior {
+        let effort = if sum.knows_variance() { Effort::new(self.baker.world, &sum.variance()) } else { last.effort };
+        Prior { effort, ..last }
+    }
+
+    fn round(&self, prior: &Prior, round: &Round, out: &mut LightValues<V>) -> Result<(), Canceled> {
+        self.baker.round(prior, round, self.wanted, out)
+    }
+}
+
+impl<V: Value> BakeRounds<'_, V> {
+    /// What is known of direct light before it is gathered, shown where somebody wants to see it.
+    fn hint(&self, round: &Round) -> Result<Hint, Canceled> {
+        let Baker { world, weights, seed, work, .. } = *self.baker;
+        let direct: Vec<V> = Hint::direct(world, &self.baker.slots, seed, work)?;
+        let hint = Hint::new(world, &direct, weights, seed, work);
+        self.show.map(|show| show(direct, round)).transpose()?;
+        Ok(hint)
+    }
+}
+
 impl<'a> Baker<'a> {
     pub(crate) fn new(world: &'a World, weights: &'a [Vec3], seed: u64, work: &'a Work<'a>) -> Baker<'a> {
         let subset = Subset::new(world);
         let (slots, rows) = (world.computed_slots(), Arc::new(Rows::all(&subset)));
-        Baker { world, slots, subset, rows, hint: OnceCell::new(), weights, seed: subseed(seed, 0x4006), work }
+        Baker { world, slots, subset, rows, weights, seed: subseed(seed, 0x4006), work }
     }
 
-    /// Bakes what is looked at before the rest, which is shown as the solution on the subset has it.
-    fn look_first<V: Value>(
-        &self,
-        focus: &Focus,
-        finish: &dyn Fn(Apart) -> LightMap,
-        goal: &Goal,
-    ) -> Result<Option<First<V>>, Canceled> {
-        let is_seen = focus.covers(self.world);
-        let seen: Vec<u32> = self.slots.iter().copied().filter(|&slot| is_seen[slot as usize]).collect();
-        if seen.is_empty() {
-            return Ok(None);
-        }
-        let mut last = None;
-        let compose = |sum: &Accumulator<V>| {
-            let stack = Stack::of_mean(sum, None, &self.world.validity);
-            let map = finish(Apart::of_stack(&stack, self.weights.len()));
-            last = Some((stack, sum.samples()));
-            map
-        };
-        let (budget, seed) = (&goal.first_budget(), goal.first_seed());
-        let (world, weights) = (self.world, self.weights);
-        let rounds =
-            Rounds { world, weights, budget, seed, work: self.work, phase: Phase::Part, guesses: goal.guesses };
-        let round = |r: &Round<V>, out: &mut LightValues<V>| {
-            self.show_estimate(r, finish, goal)?;
-            self.round_at(r, &seen, out)
-        };
-        rounds.run(|_| None, |_| false, round, compose)?;
-        Ok(last.map(|(stack, samples)| First::evenly(stack, &is_seen, samples)))
+    /// Rounds of the whole map.
+    pub(crate) fn rounds<V>(&self) -> BakeRounds<'_, V> {
+        BakeRounds { baker: self, wanted: &self.slots, show: None }
     }
 
-    /// Shows what is known of direct light beforehand, with an ambient term for the rest, before anything else is
-    /// known.
+    /// Shows direct light with an ambient term for the rest.
     fn show_estimate<V: Value>(
         &self,
-        round: &Round<V>,
+        direct: Vec<V>,
+        round: &Round,
         finish: &dyn Fn(Apart) -> LightMap,
-        goal: &Goal,
     ) -> Result<(), Canceled> {
-        let observer = self.work.observer();
-        if !goal.estimates || self.hint.get().is_some() || !observer.wants_estimates() {
-            return Ok(());
-        }
-        (round.begin)(Pass::Direct, 0.0);
-        let direct: Vec<V> = Hint::direct(self.world, &self.slots, self.seed, self.work)?;
-        self.hint_of(&direct);
         let stack = with_ambient(self.world, direct, self.weights.len(), self.seed, self.work)?;
-        let round_samples = round.samples;
-        let rays = self.work.rays();
-        observer.snapshot(
-            &Arc::new(finish(Apart::of_stack(&stack, self.weights.len()))),
-            Snapshot::Estimate,
-            &Progress { round_samples, rays, ..Progress::nothing(Pass::Direct) },
-        );
+        let map = Arc::new(finish(Apart::of_stack(&stack, self.weights.len())));
+        let (round_samples, rays) = (round.samples, self.work.rays());
+        let progress = Progress { round_samples, rays, ..Progress::nothing(Pass::Direct) };
+        self.work.observer().snapshot(&map, Snapshot::Estimate, &progress);
         Ok(())
     }
 
-    /// One independent estimate of direct and indirect light.
-    pub(crate) fn round<V: Value>(&self, round: &Round<V>, out: &mut LightValues<V>) -> Result<(), Canceled> {
-        self.round_at(round, &self.slots, out)
-    }
-
-    /// One independent estimate of direct and indirect light. Indirect light is gathered in some slots only; elsewhere
-    /// it is that of the solution on the subset.
-    fn round_at<V: Value>(&self, round: &Round<V>, wanted: &[u32], out: &mut LightValues<V>) -> Result<(), Canceled> {
+    fn round<V: Value>(
+        &self,
+        Prior { hint, effort }: &Prior,
+        round: &Round,
+        wanted: &[u32],
+        out: &mut LightValues<V>,
+    ) -> Result<(), Canceled> {
         let (world, work) = (self.world, self.work);
         out.blacken(world.slots());
         let LightValues { direct, indirect, .. } = out;
         (round.begin)(Pass::Direct, 0.0);
-        // Earlier rounds choose the number of samples, never what they find: the mean stays free of bias.
-        let effort = match round.sum.knows_variance() {
-            true => Effort::new(world, &round.sum.variance()),
-            false => Effort::default(),
-        };
-        work.add(&self.slots, direct, direct_at(world, round.samples, &effort, round.seed))?;
+        work.add(&self.slots, direct, direct_at(world, round.samples, effort, round.seed))?;
         world.validity.fill(direct);
         (round.begin)(Pass::Propagation, 0.25);
         // Each round solves anew, from its own direct light: rounds stay independent, so that their scatter is the
         // error of their mean, and since all is linear the mean is the solution of the mean direct light.
-        let (exchange, bounces) = self.solve(direct, round)?;
+        let (exchange, bounces) = self.solve(direct, hint, round)?;
         let sum = direct.par_iter().zip(&bounces).with_min_len(CHUNK);
         let total: Vec<V> = sum.map(|(d, b)| *d + *b).collect();
-        let hint = self.hint::<V>()?;
         let field = Field { total: &total, direct, rough: &hint.rough };
         let source = field.source(world, hint.spots.as_ref());
         (round.begin)(Pass::FinalGather, 0.4);
-        work.add(wanted, indirect, gathered(world, &source, round.samples, &effort, round.seed))?;
+        work.add(wanted, indirect, gathered(world, &source, round.samples, effort, round.seed))?;
         drop(source);
         // The gather is better than the solution that it looked up: at all elements, not on a subset. What it found
         // anew has bounces of its own.
@@ -237,9 +255,8 @@ impl<'a> Baker<'a> {
     }
 
     /// All bounces of the direct light, on the subset and interpolated to all slots.
-    fn solve<V: Value>(&self, direct: &[V], round: &Round<V>) -> Result<(Exchange<V>, Vec<V>), Canceled> {
+    fn solve<V: Value>(&self, direct: &[V], hint: &Hint, round: &Round) -> Result<(Exchange<V>, Vec<V>), Canceled> {
         let world = self.world;
-        let hint = self.hint::<V>()?;
         let field = Field { total: direct, direct, rough: &hint.rough };
         let source = field.source(world, hint.spots.as_ref());
         let samples = round.samples.clamp(SOLVE_SAMPLES.0, SOLVE_SAMPLES.1);
@@ -255,18 +272,5 @@ impl<'a> Baker<'a> {
         self.subset.interpolate(&exchange.to_representatives(&self.subset, values), &mut field);
         self.world.validity.fill(&mut field);
         field
-    }
-
-    /// What is known of direct light beforehand, judged once.
-    fn hint<V: Value>(&self) -> Result<&Hint, Canceled> {
-        if let Some(hint) = self.hint.get() {
-            return Ok(hint);
-        }
-        let direct: Vec<V> = Hint::direct(self.world, &self.slots, self.seed, self.work)?;
-        Ok(self.hint_of(&direct))
-    }
-
-    fn hint_of<V: Value>(&self, direct: &[V]) -> &Hint {
-        self.hint.get_or_init(|| Hint::new(self.world, direct, self.weights, self.seed, self.work))
     }
 }
