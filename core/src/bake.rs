@@ -31,15 +31,14 @@ const CHUNK: usize = 4096;
 /// ([`crate::scene::Scene::groups`]) get layers of their own, along the same rays.
 pub fn bake(world: &World, budget: &Budget, seed: u64, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
     let work = Work::new(observer);
-    let goal = Goal {
-        budget,
-        importance: &Importance::default(),
-        seed: subseed(seed, 0xba6e),
-        estimates: true,
-        guesses: true,
-    };
+    let goal = Goal { budget, importance: &Importance::default(), seed: seed_of(seed), estimates: true, guesses: true };
     let map = bake_map(world, &groups_of(&world.scene), &|map| map, &goal, &work)?;
     Ok(map.unwrap_or_else(|| Arc::new(LightMap::black(world.slots()))))
+}
+
+/// What the seeds of a bake's rounds are made from.
+pub(crate) fn seed_of(seed: u64) -> u64 {
+    subseed(seed, 0xba6e)
 }
 
 /// Bakes a map of the layers of some headers, or without any of all light together; none where no round was run.
@@ -93,10 +92,10 @@ fn bake_stack<V: Value>(
     goal: &Goal,
     work: &Work,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
-    let baker = Baker::new(world, weights, goal.seed, work);
-    let show = |direct: Vec<V>, round: &Round| baker.show_estimate(direct, round, finish);
+    let baker = Baker::new(world, weights, goal.seed);
+    let show = |direct: Vec<V>, round: &Round| baker.show_estimate(direct, round, finish, work);
     let shows = goal.estimates && work.observer().wants_estimates();
-    let all = BakeRounds { show: shows.then_some(&show), ..baker.rounds() };
+    let all = BakeRounds { show: shows.then_some(&show), ..baker.rounds(work) };
     let is_seen = goal.focus().map(|focus| focus.covers(world)).unwrap_or_default();
     let seen: Vec<u32> =
         baker.slots.iter().copied().filter(|&slot| is_seen.get(slot as usize) == Some(&true)).collect();
@@ -120,23 +119,33 @@ fn bake_stack<V: Value>(
 }
 
 /// What all rounds of a bake share: a function of the world, its layers and the seed.
-pub(crate) struct Baker<'a> {
-    world: &'a World,
+pub(crate) struct Baker {
+    world: World,
     slots: Vec<u32>,
     subset: Subset,
     rows: Arc<Rows>,
     /// What each layer weighs in the whole.
-    weights: &'a [Vec3],
+    weights: Vec<Vec3>,
     seed: u64,
-    work: &'a Work<'a>,
 }
 
-/// What rounds of a bake go by.
+/// What rounds of a bake go by. It can be had again from the world, the bake's seed and the rounds before.
 pub(crate) struct Prior {
     /// From the world and the bake's seed.
-    hint: Hint,
+    hint: Arc<Hint>,
     /// From the variance of all rounds so far.
     effort: Effort,
+}
+
+impl Prior {
+    pub(crate) fn with_effort(&self, effort: Effort) -> Prior {
+        Prior { hint: Arc::clone(&self.hint), effort }
+    }
+}
+
+/// Samples of the round after those in `sum`: they choose how many, never what is found, and the mean stays free of bias.
+pub(crate) fn effort_after<V: Value>(world: &World, sum: &Accumulator<V>) -> Effort {
+    if sum.knows_variance() { Effort::new(world, &sum.variance()) } else { Effort::default() }
 }
 
 /// Shows direct light.
@@ -145,7 +154,8 @@ type Show<'a, V> = dyn Fn(Vec<V>, &Round) -> Result<(), Canceled> + 'a;
 /// Rounds of a bake.
 #[derive(Clone, Copy)]
 pub(crate) struct BakeRounds<'a, V> {
-    baker: &'a Baker<'a>,
+    baker: &'a Baker,
+    work: &'a Work<'a>,
     /// Slots, ascending, where indirect light is gathered; elsewhere it is that of the solution on the subset.
     wanted: &'a [u32],
     /// Shows what is known of direct light before anything else is.
@@ -156,50 +166,46 @@ impl<V: Value> Estimator<V> for BakeRounds<'_, V> {
     type Prior = Prior;
 
     fn first_round(&self, known: Option<Prior>, round: &Round, out: &mut LightValues<V>) -> Result<Prior, Canceled> {
-        let hint = match known {
-            Some(prior) => prior.hint,
+        let known = match known {
+            Some(prior) => prior.with_effort(Effort::default()),
             None => {
                 (round.begin)(Pass::Direct, 0.0);
-                self.hint(round)?
+                let (prior, direct) = self.baker.first_prior(self.work)?;
+                self.show.map(|show| show(direct, round)).transpose()?;
+                prior
             }
         };
-        let prior = Prior { hint, effort: Effort::default() };
-        self.round(&prior, round, out)?;
-        Ok(prior)
+        self.round(&known, round, out)?;
+        Ok(known)
     }
 
-    /// Earlier rounds choose the number of samples, never what they find: the mean stays free of bias.
     fn prior(&self, last: Prior, sum: &Accumulator<V>) -> Prior {
-        let effort = if sum.knows_variance() { Effort::new(self.baker.world, &sum.variance()) } else { last.effort };
-        Prior { effort, ..last }
+        last.with_effort(effort_after(&self.baker.world, sum))
     }
 
     fn round(&self, prior: &Prior, round: &Round, out: &mut LightValues<V>) -> Result<(), Canceled> {
-        self.baker.round(prior, round, self.wanted, out)
+        self.baker.round(prior, round, self.wanted, self.work, out)
     }
 }
 
-impl<V: Value> BakeRounds<'_, V> {
-    /// What is known of direct light before it is gathered, shown where somebody wants to see it.
-    fn hint(&self, round: &Round) -> Result<Hint, Canceled> {
-        let Baker { world, weights, seed, work, .. } = *self.baker;
-        let direct: Vec<V> = Hint::direct(world, &self.baker.slots, seed, work)?;
-        let hint = Hint::new(world, &direct, weights, seed, work);
-        self.show.map(|show| show(direct, round)).transpose()?;
-        Ok(hint)
-    }
-}
-
-impl<'a> Baker<'a> {
-    pub(crate) fn new(world: &'a World, weights: &'a [Vec3], seed: u64, work: &'a Work<'a>) -> Baker<'a> {
+impl Baker {
+    pub(crate) fn new(world: &World, weights: &[Vec3], seed: u64) -> Baker {
         let subset = Subset::new(world);
         let (slots, rows) = (world.computed_slots(), Arc::new(Rows::all(&subset)));
-        Baker { world, slots, subset, rows, weights, seed: subseed(seed, 0x4006), work }
+        let (world, weights) = (world.clone(), weights.to_vec());
+        Baker { world, slots, subset, rows, weights, seed: subseed(seed, 0x4006) }
     }
 
     /// Rounds of the whole map.
-    pub(crate) fn rounds<V>(&self) -> BakeRounds<'_, V> {
-        BakeRounds { baker: self, wanted: &self.slots, show: None }
+    pub(crate) fn rounds<'a, V>(&'a self, work: &'a Work<'a>) -> BakeRounds<'a, V> {
+        BakeRounds { baker: self, work, wanted: &self.slots, show: None }
+    }
+
+    /// What the first round goes by, and the direct light that it is made from, which no round uses.
+    pub(crate) fn first_prior<V: Value>(&self, work: &Work) -> Result<(Prior, Vec<V>), Canceled> {
+        let direct: Vec<V> = Hint::direct(&self.world, &self.slots, self.seed, work)?;
+        let hint = Arc::new(Hint::new(&self.world, &direct, &self.weights, self.seed, work));
+        Ok((Prior { hint, effort: Effort::default() }, direct))
     }
 
     /// Shows direct light with an ambient term for the rest.
@@ -208,12 +214,13 @@ impl<'a> Baker<'a> {
         direct: Vec<V>,
         round: &Round,
         finish: &dyn Fn(Apart) -> LightMap,
+        work: &Work,
     ) -> Result<(), Canceled> {
-        let stack = with_ambient(self.world, direct, self.weights.len(), self.seed, self.work)?;
+        let stack = with_ambient(&self.world, direct, self.weights.len(), self.seed, work)?;
         let map = Arc::new(finish(Apart::of_stack(&stack, self.weights.len())));
-        let (round_samples, rays) = (round.samples, self.work.rays());
+        let (round_samples, rays) = (round.samples, work.rays());
         let progress = Progress { round_samples, rays, ..Progress::nothing(Pass::Direct) };
-        self.work.observer().snapshot(&map, Snapshot::Estimate, &progress);
+        work.observer().snapshot(&map, Snapshot::Estimate, &progress);
         Ok(())
     }
 
@@ -222,9 +229,10 @@ impl<'a> Baker<'a> {
         Prior { hint, effort }: &Prior,
         round: &Round,
         wanted: &[u32],
+        work: &Work,
         out: &mut LightValues<V>,
     ) -> Result<(), Canceled> {
-        let (world, work) = (self.world, self.work);
+        let world = &self.world;
         out.blacken(world.slots());
         let LightValues { direct, indirect, .. } = out;
         (round.begin)(Pass::Direct, 0.0);
@@ -233,7 +241,7 @@ impl<'a> Baker<'a> {
         (round.begin)(Pass::Propagation, 0.25);
         // Each round solves anew, from its own direct light: rounds stay independent, so that their scatter is the
         // error of their mean, and since all is linear the mean is the solution of the mean direct light.
-        let (exchange, bounces) = self.solve(direct, hint, round)?;
+        let (exchange, bounces) = self.solve(direct, hint, round, work)?;
         let sum = direct.par_iter().zip(&bounces).with_min_len(CHUNK);
         let total: Vec<V> = sum.map(|(d, b)| *d + *b).collect();
         let field = Field { total: &total, direct, rough: &hint.rough };
@@ -255,14 +263,19 @@ impl<'a> Baker<'a> {
     }
 
     /// All bounces of the direct light, on the subset and interpolated to all slots.
-    fn solve<V: Value>(&self, direct: &[V], hint: &Hint, round: &Round) -> Result<(Exchange<V>, Vec<V>), Canceled> {
-        let world = self.world;
+    fn solve<V: Value>(
+        &self,
+        direct: &[V],
+        hint: &Hint,
+        round: &Round,
+        work: &Work,
+    ) -> Result<(Exchange<V>, Vec<V>), Canceled> {
+        let world = &self.world;
         let field = Field { total: direct, direct, rough: &hint.rough };
         let source = field.source(world, hint.spots.as_ref());
         let samples = round.samples.clamp(SOLVE_SAMPLES.0, SOLVE_SAMPLES.1);
         let seed = subseed(round.seed, 0x50);
-        let exchange =
-            Exchange::trace(world, &self.subset, &self.rows, &source, Paths::Each(samples), seed, self.work)?;
+        let exchange = Exchange::trace(world, &self.subset, &self.rows, &source, Paths::Each(samples), seed, work)?;
         let bounces = self.spread(&exchange, &exchange.all_bounces(&exchange.first));
         Ok((exchange, bounces))
     }

@@ -155,21 +155,21 @@ struct StageRounds<'a, V> {
 }
 
 /// What rounds of a stage go by.
-enum StagePrior<'a, V> {
+enum StagePrior<V> {
     Change(Prior<V>),
     /// The change outgrew the light that is left.
-    Bake(Box<Baker<'a>>, bake::Prior),
+    Bake(Box<Baker>, bake::Prior),
 }
 
-impl<'a, V: Value> Estimator<V> for StageRounds<'a, V> {
-    type Prior = StagePrior<'a, V>;
+impl<V: Value> Estimator<V> for StageRounds<'_, V> {
+    type Prior = StagePrior<V>;
 
     fn first_round(
         &self,
-        known: Option<StagePrior<'a, V>>,
+        known: Option<StagePrior<V>>,
         round: &Round,
         out: &mut LightValues<V>,
-    ) -> Result<StagePrior<'a, V>, Canceled> {
+    ) -> Result<StagePrior<V>, Canceled> {
         let prior = match known {
             Some(prior) => {
                 self.round(&prior, round, out)?;
@@ -181,16 +181,16 @@ impl<'a, V: Value> Estimator<V> for StageRounds<'a, V> {
             return Ok(prior);
         }
         let Updater { world, stage, work, .. } = *self.updater;
-        let baker = Box::new(Baker::new(world, stage.guides, self.seed, work));
-        let prior = baker.rounds().first_round(None, round, out)?;
+        let baker = Box::new(Baker::new(world, stage.guides, self.seed));
+        let prior = baker.rounds(work).first_round(None, round, out)?;
         Ok(StagePrior::Bake(baker, prior))
     }
 
-    fn prior(&self, last: StagePrior<'a, V>, sum: &Accumulator<V>) -> StagePrior<'a, V> {
+    fn prior(&self, last: StagePrior<V>, sum: &Accumulator<V>) -> StagePrior<V> {
         match last {
             StagePrior::Change(prior) => StagePrior::Change(self.updater.prior(prior, sum)),
             StagePrior::Bake(baker, prior) => {
-                let prior = baker.rounds().prior(prior, sum);
+                let prior = baker.rounds(self.updater.work).prior(prior, sum);
                 StagePrior::Bake(baker, prior)
             }
         }
@@ -199,7 +199,7 @@ impl<'a, V: Value> Estimator<V> for StageRounds<'a, V> {
     fn round(&self, prior: &StagePrior<V>, round: &Round, out: &mut LightValues<V>) -> Result<(), Canceled> {
         match prior {
             StagePrior::Change(prior) => self.updater.round(prior, round, &self.extents, out),
-            StagePrior::Bake(baker, prior) => baker.rounds().round(prior, round, out),
+            StagePrior::Bake(baker, prior) => baker.rounds(self.updater.work).round(prior, round, out),
         }
     }
 }
