@@ -60,6 +60,12 @@ impl Transition {
         LightMap { light: carry(&map.light), layers }
     }
 
+    /// The map of [`Transition::carry_over`]: the old one itself where every slot keeps its element, as by edits of lights and
+    /// albedos.
+    pub fn carried(&self, map: &Arc<LightMap>) -> Arc<LightMap> {
+        if self.keeps_slots() { Arc::clone(map) } else { Arc::new(self.carry_over(map)) }
+    }
+
     /// Slots of the new world whose elements get no light of their own by [`Transition::carry_over`]: those of objects that
     /// came or moved, and those that came out of solids. In no order, some more than once.
     pub fn slots_without_light(&self) -> Vec<u32> {
