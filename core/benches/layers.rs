@@ -156,7 +156,7 @@ fn first_picture(world: &World) {
          after {:.3} s with {:.4}; without an estimate after {:.3} s",
         median(&mut with),
         rmse(&|slot| maps[0].total(slot)),
-        rmse(&|slot| maps[0].direct[slot]),
+        rmse(&|slot| maps[0].light.direct[slot]),
         median(&mut round),
         rmse(&|slot| maps[1].total(slot)),
         median(&mut without),
@@ -216,7 +216,7 @@ fn relights(layers: usize, world: &World) {
         reads.push(timed(|| black_box(sum_of(&map))).0);
     }
     let (relight, read) = (median(&mut seconds), median(&mut reads));
-    let bytes = map.layers.iter().map(|l| 28 * l.direct.len()).sum::<usize>();
+    let bytes = map.layers.iter().map(|l| 28 * l.light.direct.len()).sum::<usize>();
     println!(
         "{layers:2} layers: relight {:.1} ms, reading their {} MB {:.1} ms, {:.1} of it; {} bytes per element",
         1e3 * relight,
@@ -233,7 +233,7 @@ fn sum_of(map: &LightMap) -> f32 {
     let vectors =
         |v: &Vec<Vec3>| v.par_chunks(4096).map(|c| c.iter().map(|v| v.x + v.y + v.z).sum::<f32>()).sum::<f32>();
     let scalars = |v: &Vec<f32>| v.par_chunks(4096).map(|c| c.iter().sum::<f32>()).sum::<f32>();
-    map.layers.iter().map(|l| vectors(&l.direct) + vectors(&l.indirect) + scalars(&l.variance)).sum()
+    map.layers.iter().map(|l| vectors(&l.light.direct) + vectors(&l.light.indirect) + scalars(&l.light.variance)).sum()
 }
 
 fn timed<T>(f: impl FnOnce() -> T) -> (f64, T) {

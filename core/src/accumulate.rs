@@ -3,7 +3,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::estimate::Estimate;
+use crate::lightmap::LightValues;
 use crate::scatter::{pooled_with_neighbours, scatter_of_neighbours};
 use crate::value::Value;
 use crate::world::{Stated, World};
@@ -11,7 +11,7 @@ use crate::world::{Stated, World};
 /// The mean of rounds, per slot, and how they scatter about it.
 pub(crate) struct Accumulator<V> {
     /// By samples; empty before the first round.
-    mean: Estimate<V>,
+    mean: LightValues<V>,
     /// What each layer weighs in the whole.
     weights: Vec<Vec3>,
     /// What the variance is of.
@@ -37,7 +37,7 @@ impl<V: Value> Accumulator<V> {
     /// No round yet; `weights` has one of each layer.
     pub(crate) fn new(weights: &[Vec3], stated: Stated) -> Accumulator<V> {
         Accumulator {
-            mean: Estimate::default(),
+            mean: LightValues::default(),
             weights: weights.to_vec(),
             stated,
             squares: Vec::new(),
@@ -56,7 +56,7 @@ impl<V: Value> Accumulator<V> {
     }
 
     /// Adds a round of `samples` samples per element, and leaves its arrays to be written over.
-    pub(crate) fn add(&mut self, samples: u32, light: &mut Estimate<V>) {
+    pub(crate) fn add(&mut self, samples: u32, light: &mut LightValues<V>) {
         let (before, layers) = (self.samples, self.weights.len());
         self.samples += samples;
         self.rounds += 1;
@@ -109,7 +109,7 @@ impl<V: Value> Accumulator<V> {
     }
 
     /// Mean of all rounds.
-    pub(crate) fn mean(&self) -> &Estimate<V> {
+    pub(crate) fn mean(&self) -> &LightValues<V> {
         &self.mean
     }
 
@@ -236,7 +236,7 @@ mod tests {
             let values: Vec<Vec3> =
                 (0..len).map(|_| Vec3::splat((0..n).map(|_| rng.next_f32()).sum::<f32>() / n as f32)).collect();
             mean.iter_mut().zip(&values).for_each(|(m, v)| *m += f64::from(v.x) * f64::from(n));
-            acc.add(n, &mut Estimate { direct: values, indirect: vec![Vec3::ZERO; len] });
+            acc.add(n, &mut LightValues { direct: values, indirect: vec![Vec3::ZERO; len], variance: Vec::new() });
         }
         let total = f64::from(acc.samples());
         let truth = mean.iter().map(|m| (m / total - 0.5).powi(2)).sum::<f64>() / len as f64;

@@ -37,7 +37,7 @@ pub(crate) fn with_ambient<V: Value>(
     let ambient = ambient(world, &direct, seed, work)?;
     let areas = world.areas().par_iter().with_min_len(CHUNK);
     let indirect = areas.map(|area| if *area > 0.0 { ambient } else { V::default() }).collect();
-    Ok(Stack { direct, indirect, ..Stack::black(world.slots(), layers) })
+    Ok(Stack::without_error(direct, indirect, layers))
 }
 
 /// irradiance / π of all bounces of `direct`, were every element to see what elements see on average: light `u` sent

@@ -1,6 +1,5 @@
 //! Light maps from scratch, by the propagator of the updates: the source is the direct light.
 
-use std::cell::OnceCell;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -8,14 +7,12 @@ use rayon::prelude::*;
 
 use crate::accumulate::Accumulator;
 use crate::ambient::with_ambient;
-use crate::estimate::Estimate;
-use crate::focus::Focus;
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer, Pass, Progress, Snapshot};
-use crate::layers::{Apart, Computed, Header, Stack, groups_of, weights_of, weights_within};
-use crate::lightmap::LightMap;
+use crate::layers::{Apart, Computed, Header, groups_of, weights_of, weights_within};
+use crate::lightmap::{LightMap, LightValues};
 use crate::random::subseed;
-use crate::rounds::{First, Goal, Phase, Round, Rounds};
+use crate::rounds::{Estimator, Goal, Phase, Round};
 use crate::solve::{Exchange, Paths, Rows, Subset};
 use crate::transport::direct::direct_at;
 use crate::transport::{Effort, Field, Hint, Work, blacken, for_slots, gathered};
@@ -34,15 +31,14 @@ const CHUNK: usize = 4096;
 /// ([`crate::scene::Scene::groups`]) get layers of their own, along the same rays.
 pub fn bake(world: &World, budget: &Budget, seed: u64, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
     let work = Work::new(observer);
-    let goal = Goal {
-        budget,
-        importance: &Importance::default(),
-        seed: subseed(seed, 0xba6e),
-        estimates: true,
-        guesses: true,
-    };
+    let goal = Goal { budget, importance: &Importance::default(), seed: seed_of(seed), estimates: true, guesses: true };
     let map = bake_map(world, &groups_of(&world.scene), &|map| map, &goal, &work)?;
     Ok(map.unwrap_or_else(|| Arc::new(LightMap::black(world.slots()))))
+}
+
+/// What the seeds of a bake's rounds are made from.
+pub(crate) fn seed_of(seed: u64) -> u64 {
+    subseed(seed, 0xba6e)
 }
 
 /// Bakes a map of the layers of some headers, or without any of all light together; none where no round was run.
@@ -96,133 +92,162 @@ fn bake_stack<V: Value>(
     goal: &Goal,
     work: &Work,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
-    let baker = Baker::new(world, weights, goal.seed, work);
-    let first = goal.focus().map(|focus| baker.look_first(focus, finish, goal)).transpose()?.flatten();
-    let compose = |sum: &Accumulator<V>| {
+    let baker = Baker::new(world, weights, goal.seed);
+    let show = |direct: Vec<V>, round: &Round| baker.show_estimate(direct, round, finish, work);
+    let shows = goal.estimates && work.observer().wants_estimates();
+    let all = BakeRounds { show: shows.then_some(&show), ..baker.rounds(work) };
+    let is_seen = goal.focus().map(|focus| focus.covers(world)).unwrap_or_default();
+    let seen: Vec<u32> =
+        baker.slots.iter().copied().filter(|&slot| is_seen.get(slot as usize) == Some(&true)).collect();
+    let (first, prior) = match seen.is_empty() {
+        true => (None, None),
+        false => {
+            // The rest is shown as the solution on the subset has it.
+            let rounds = goal.rounds(world, weights, work, Phase::Part);
+            rounds.run_first(&BakeRounds { wanted: &seen, ..all }, &is_seen, None, finish)?
+        }
+    };
+    let compose = |sum: &Accumulator<V>, _: &Prior| {
         let Some(first) = &first else { return finish(Apart::of_mean(sum, None, &world.validity)) };
-        let mut stack = Stack::of_mean(sum, None, &world.validity);
-        first.merge(&mut stack, sum.samples(), baker.slots.iter().copied(), None);
-        stack.fill_invalid(&world.validity);
+        let stack = first.merged(sum, baker.slots.iter().copied(), &world.validity);
         finish(Apart::of_stack(&stack, weights.len()))
     };
     let stated = |map: &LightMap| Some(map.estimated_rmse(world.areas()));
     let phase = if first.is_some() { Phase::Rest } else { Phase::Whole };
-    let Goal { budget, seed, guesses, .. } = *goal;
-    let rounds = Rounds { world, weights, budget, seed, work, phase, guesses };
-    let round = |r: &Round<V>, out: &mut Estimate<V>| {
-        baker.show_estimate(r, finish, goal)?;
-        baker.round(r, out)
-    };
-    rounds.run(stated, |_| false, round, compose)
+    let rounds = goal.rounds(world, weights, work, phase);
+    Ok(rounds.run_and_show(&all, prior, stated, |_| false, compose)?.0)
 }
 
-/// What all rounds of a bake share.
-pub(crate) struct Baker<'a> {
-    world: &'a World,
+/// What all rounds of a bake share: a function of the world, its layers and the seed.
+pub(crate) struct Baker {
+    world: World,
     slots: Vec<u32>,
     subset: Subset,
     rows: Arc<Rows>,
-    hint: OnceCell<Hint>,
     /// What each layer weighs in the whole.
-    weights: &'a [Vec3],
+    weights: Vec<Vec3>,
     seed: u64,
-    work: &'a Work<'a>,
 }
 
-impl<'a> Baker<'a> {
-    pub(crate) fn new(world: &'a World, weights: &'a [Vec3], seed: u64, work: &'a Work<'a>) -> Baker<'a> {
+/// What rounds of a bake go by. It can be had again from the world, the bake's seed and the rounds before.
+pub(crate) struct Prior {
+    /// From the world and the bake's seed.
+    hint: Arc<Hint>,
+    /// From the variance of all rounds so far.
+    effort: Effort,
+}
+
+impl Prior {
+    pub(crate) fn with_effort(&self, effort: Effort) -> Prior {
+        Prior { hint: Arc::clone(&self.hint), effort }
+    }
+}
+
+/// Samples of the round after those in `sum`: they choose how many, never what is found, and the mean stays free of bias.
+pub(crate) fn effort_after<V: Value>(world: &World, sum: &Accumulator<V>) -> Effort {
+    if sum.knows_variance() { Effort::new(world, &sum.variance()) } else { Effort::default() }
+}
+
+/// Shows direct light.
+type Show<'a, V> = dyn Fn(Vec<V>, &Round) -> Result<(), Canceled> + 'a;
+
+/// Rounds of a bake.
+#[derive(Clone, Copy)]
+pub(crate) struct BakeRounds<'a, V> {
+    baker: &'a Baker,
+    work: &'a Work<'a>,
+    /// Slots, ascending, where indirect light is gathered; elsewhere it is that of the solution on the subset.
+    wanted: &'a [u32],
+    /// Shows what is known of direct light before anything else is.
+    show: Option<&'a Show<'a, V>>,
+}
+
+impl<V: Value> Estimator<V> for BakeRounds<'_, V> {
+    type Prior = Prior;
+
+    fn first_round(&self, known: Option<Prior>, round: &Round, out: &mut LightValues<V>) -> Result<Prior, Canceled> {
+        let known = match known {
+            Some(prior) => prior.with_effort(Effort::default()),
+            None => {
+                (round.begin)(Pass::Direct, 0.0);
+                let (prior, direct) = self.baker.first_prior(self.work)?;
+                self.show.map(|show| show(direct, round)).transpose()?;
+                prior
+            }
+        };
+        self.round(&known, round, out)?;
+        Ok(known)
+    }
+
+    fn prior(&self, last: Prior, sum: &Accumulator<V>) -> Prior {
+        last.with_effort(effort_after(&self.baker.world, sum))
+    }
+
+    fn round(&self, prior: &Prior, round: &Round, out: &mut LightValues<V>) -> Result<(), Canceled> {
+        self.baker.round(prior, round, self.wanted, self.work, out)
+    }
+}
+
+impl Baker {
+    pub(crate) fn new(world: &World, weights: &[Vec3], seed: u64) -> Baker {
         let subset = Subset::new(world);
         let (slots, rows) = (world.computed_slots(), Arc::new(Rows::all(&subset)));
-        Baker { world, slots, subset, rows, hint: OnceCell::new(), weights, seed: subseed(seed, 0x4006), work }
+        let (world, weights) = (world.clone(), weights.to_vec());
+        Baker { world, slots, subset, rows, weights, seed: subseed(seed, 0x4006) }
     }
 
-    /// Bakes what is looked at before the rest, which is shown as the solution on the subset has it.
-    fn look_first<V: Value>(
-        &self,
-        focus: &Focus,
-        finish: &dyn Fn(Apart) -> LightMap,
-        goal: &Goal,
-    ) -> Result<Option<First<V>>, Canceled> {
-        let is_seen = focus.covers(self.world);
-        let seen: Vec<u32> = self.slots.iter().copied().filter(|&slot| is_seen[slot as usize]).collect();
-        if seen.is_empty() {
-            return Ok(None);
-        }
-        let mut last = None;
-        let compose = |sum: &Accumulator<V>| {
-            let stack = Stack::of_mean(sum, None, &self.world.validity);
-            let map = finish(Apart::of_stack(&stack, self.weights.len()));
-            last = Some((stack, sum.samples()));
-            map
-        };
-        let (budget, seed) = (&goal.first_budget(), goal.first_seed());
-        let (world, weights) = (self.world, self.weights);
-        let rounds =
-            Rounds { world, weights, budget, seed, work: self.work, phase: Phase::Part, guesses: goal.guesses };
-        let round = |r: &Round<V>, out: &mut Estimate<V>| {
-            self.show_estimate(r, finish, goal)?;
-            self.round_at(r, &seen, out)
-        };
-        rounds.run(|_| None, |_| false, round, compose)?;
-        Ok(last.map(|(stack, samples)| First::evenly(stack, &is_seen, samples)))
+    /// Rounds of the whole map.
+    pub(crate) fn rounds<'a, V>(&'a self, work: &'a Work<'a>) -> BakeRounds<'a, V> {
+        BakeRounds { baker: self, work, wanted: &self.slots, show: None }
     }
 
-    /// Shows what is known of direct light beforehand, with an ambient term for the rest, before anything else is
-    /// known.
+    /// What the first round goes by, and the direct light that it is made from, which no round uses.
+    pub(crate) fn first_prior<V: Value>(&self, work: &Work) -> Result<(Prior, Vec<V>), Canceled> {
+        let direct: Vec<V> = Hint::direct(&self.world, &self.slots, self.seed, work)?;
+        let hint = Arc::new(Hint::new(&self.world, &direct, &self.weights, self.seed, work));
+        Ok((Prior { hint, effort: Effort::default() }, direct))
+    }
+
+    /// Shows direct light with an ambient term for the rest.
     fn show_estimate<V: Value>(
         &self,
-        round: &Round<V>,
+        direct: Vec<V>,
+        round: &Round,
         finish: &dyn Fn(Apart) -> LightMap,
-        goal: &Goal,
+        work: &Work,
     ) -> Result<(), Canceled> {
-        let observer = self.work.observer();
-        if !goal.estimates || self.hint.get().is_some() || !observer.wants_estimates() {
-            return Ok(());
-        }
-        (round.begin)(Pass::Direct, 0.0);
-        let direct: Vec<V> = Hint::direct(self.world, &self.slots, self.seed, self.work)?;
-        self.hint_of(&direct);
-        let stack = with_ambient(self.world, direct, self.weights.len(), self.seed, self.work)?;
-        let round_samples = round.samples;
-        let rays = self.work.rays();
-        observer.snapshot(
-            &Arc::new(finish(Apart::of_stack(&stack, self.weights.len()))),
-            Snapshot::Estimate,
-            &Progress { round_samples, rays, ..Progress::nothing(Pass::Direct) },
-        );
+        let stack = with_ambient(&self.world, direct, self.weights.len(), self.seed, work)?;
+        let map = Arc::new(finish(Apart::of_stack(&stack, self.weights.len())));
+        let (round_samples, rays) = (round.samples, work.rays());
+        let progress = Progress { round_samples, rays, ..Progress::nothing(Pass::Direct) };
+        work.observer().snapshot(&map, Snapshot::Estimate, &progress);
         Ok(())
     }
 
-    /// One independent estimate of direct and indirect light.
-    pub(crate) fn round<V: Value>(&self, round: &Round<V>, out: &mut Estimate<V>) -> Result<(), Canceled> {
-        self.round_at(round, &self.slots, out)
-    }
-
-    /// One independent estimate of direct and indirect light. Indirect light is gathered in some slots only; elsewhere
-    /// it is that of the solution on the subset.
-    fn round_at<V: Value>(&self, round: &Round<V>, wanted: &[u32], out: &mut Estimate<V>) -> Result<(), Canceled> {
-        let (world, work) = (self.world, self.work);
+    fn round<V: Value>(
+        &self,
+        Prior { hint, effort }: &Prior,
+        round: &Round,
+        wanted: &[u32],
+        work: &Work,
+        out: &mut LightValues<V>,
+    ) -> Result<(), Canceled> {
+        let world = &self.world;
         out.blacken(world.slots());
-        let Estimate { direct, indirect } = out;
+        let LightValues { direct, indirect, .. } = out;
         (round.begin)(Pass::Direct, 0.0);
-        // Earlier rounds choose the number of samples, never what they find: the mean stays free of bias.
-        let effort = match round.sum.knows_variance() {
-            true => Effort::new(world, &round.sum.variance()),
-            false => Effort::default(),
-        };
-        work.add(&self.slots, direct, direct_at(world, round.samples, &effort, round.seed))?;
+        work.add(&self.slots, direct, direct_at(world, round.samples, effort, round.seed))?;
         world.validity.fill(direct);
         (round.begin)(Pass::Propagation, 0.25);
         // Each round solves anew, from its own direct light: rounds stay independent, so that their scatter is the
         // error of their mean, and since all is linear the mean is the solution of the mean direct light.
-        let (exchange, bounces) = self.solve(direct, round)?;
+        let (exchange, bounces) = self.solve(direct, hint, round, work)?;
         let sum = direct.par_iter().zip(&bounces).with_min_len(CHUNK);
         let total: Vec<V> = sum.map(|(d, b)| *d + *b).collect();
-        let hint = self.hint::<V>()?;
         let field = Field { total: &total, direct, rough: &hint.rough };
         let source = field.source(world, hint.spots.as_ref());
         (round.begin)(Pass::FinalGather, 0.4);
-        work.add(wanted, indirect, gathered(world, &source, round.samples, &effort, round.seed))?;
+        work.add(wanted, indirect, gathered(world, &source, round.samples, effort, round.seed))?;
         drop(source);
         // The gather is better than the solution that it looked up: at all elements, not on a subset. What it found
         // anew has bounces of its own.
@@ -238,15 +263,19 @@ impl<'a> Baker<'a> {
     }
 
     /// All bounces of the direct light, on the subset and interpolated to all slots.
-    fn solve<V: Value>(&self, direct: &[V], round: &Round<V>) -> Result<(Exchange<V>, Vec<V>), Canceled> {
-        let world = self.world;
-        let hint = self.hint::<V>()?;
+    fn solve<V: Value>(
+        &self,
+        direct: &[V],
+        hint: &Hint,
+        round: &Round,
+        work: &Work,
+    ) -> Result<(Exchange<V>, Vec<V>), Canceled> {
+        let world = &self.world;
         let field = Field { total: direct, direct, rough: &hint.rough };
         let source = field.source(world, hint.spots.as_ref());
         let samples = round.samples.clamp(SOLVE_SAMPLES.0, SOLVE_SAMPLES.1);
         let seed = subseed(round.seed, 0x50);
-        let exchange =
-            Exchange::trace(world, &self.subset, &self.rows, &source, Paths::Each(samples), seed, self.work)?;
+        let exchange = Exchange::trace(world, &self.subset, &self.rows, &source, Paths::Each(samples), seed, work)?;
         let bounces = self.spread(&exchange, &exchange.all_bounces(&exchange.first));
         Ok((exchange, bounces))
     }
@@ -256,18 +285,5 @@ impl<'a> Baker<'a> {
         self.subset.interpolate(&exchange.to_representatives(&self.subset, values), &mut field);
         self.world.validity.fill(&mut field);
         field
-    }
-
-    /// What is known of direct light beforehand, judged once.
-    fn hint<V: Value>(&self) -> Result<&Hint, Canceled> {
-        if let Some(hint) = self.hint.get() {
-            return Ok(hint);
-        }
-        let direct: Vec<V> = Hint::direct(self.world, &self.slots, self.seed, self.work)?;
-        Ok(self.hint_of(&direct))
-    }
-
-    fn hint_of<V: Value>(&self, direct: &[V]) -> &Hint {
-        self.hint.get_or_init(|| Hint::new(self.world, direct, self.weights, self.seed, self.work))
     }
 }

@@ -66,8 +66,8 @@ pub fn directional(
 ) -> Result<Directional, Canceled> {
     assert_eq!(map.len(), world.slots(), "a light map has one value per slot");
     let total: Vec<Vec3> = (0..map.len()).map(|slot| map.total(slot)).collect();
-    let rough = Rough::new(world, &map.direct, &[Vec3::ONE]);
-    let field = Field { total: &total, direct: &map.direct, rough: &rough };
+    let rough = Rough::new(world, &map.light.direct, &[Vec3::ONE]);
+    let field = Field { total: &total, direct: &map.light.direct, rough: &rough };
     let (slots, shares) = (world.computed_slots(), shares(options.samples.max(2)));
     let lights = shares.map(|count| DirectLight::new(world, count));
     let seed = subseed(options.seed, 0xd1c);
@@ -212,7 +212,7 @@ mod tests {
         let world = world(vec![Object::new("room", room, Material::diffuse(Vec3::splat(0.6))), lamp], None);
         let budget = Budget { samples_per_element: 128, target_rmse: None };
         let map = bake(&world, &budget, 1, &Unobserved).expect("a map");
-        for (part, values) in [(LightPart::Full, None), (LightPart::Indirect, Some(&map.indirect))] {
+        for (part, values) in [(LightPart::Full, None), (LightPart::Indirect, Some(&map.light.indirect))] {
             let found = gathered(&world, &map, part, 64);
             let other = directional(&world, &map, &DirectionalOptions { part, samples: 64, seed: 9 }, &Unobserved);
             let other = other.expect("directions");
@@ -224,7 +224,7 @@ mod tests {
                 off += f64::from(0.5 * (a + b) - expected(slot));
                 // Two estimates of independent rays: a quarter of their squared difference is the variance of their
                 // mean.
-                variance += f64::from((a - b).powi(2)) / 4.0 + f64::from(map.variance[slot]);
+                variance += f64::from((a - b).powi(2)) / 4.0 + f64::from(map.light.variance[slot]);
                 light += f64::from(expected(slot));
             }
             assert!(

@@ -13,7 +13,7 @@ use glam::Vec3;
 
 use crate::job::{Canceled, Observer};
 use crate::layers::{Header, Layer, moved_layers, whole_of};
-use crate::lightmap::LightMap;
+use crate::lightmap::{LightMap, LightValues};
 use crate::random::subseed;
 use crate::solve::{Exchange, Paths, Rows, Subset};
 use crate::space::Space;
@@ -98,12 +98,7 @@ impl DragBasis {
         let mut indirect = Vec::new();
         self.subset.interpolate(&self.exchange.to_representatives(&self.subset, &bounces), &mut indirect);
         world.validity.fill(&mut indirect);
-        Ok(Layer {
-            name: header.name.clone(),
-            lights: header.lights.clone(),
-            direct,
-            indirect,
-            variance: old.variance.clone(),
-        })
+        let light = LightValues { direct, indirect, variance: old.light.variance.clone() };
+        Ok(Layer { name: header.name.clone(), lights: header.lights.clone(), light })
     }
 }

@@ -1,8 +1,11 @@
 //! The light map: what is stored per element.
 
+use std::borrow::Cow;
+use std::ops::AddAssign;
 use std::sync::Arc;
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use crate::chunks::Chunks;
 
@@ -11,6 +14,9 @@ pub const MAX_LAYERS: usize = 16;
 
 /// So many groups of lights have layers of their own: the lights in none need one, too.
 pub const MAX_GROUPS: usize = MAX_LAYERS - 1;
+
+/// Slots per task.
+const CHUNK: usize = 4096;
 
 /// Some of the light of a map or a layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,15 +29,23 @@ pub enum LightPart {
     Indirect,
 }
 
-/// Values per element slot: outgoing radiance / albedo = irradiance / π, linear RGB. Slots without an element are zero.
+/// Light per element slot, and what is known of its error.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LightValues<V = Vec3> {
+    /// Light that comes straight from lights: irradiance / π = outgoing radiance / albedo, linear RGB.
+    pub direct: Vec<V>,
+    /// Light after at least one bounce, in the same unit.
+    pub indirect: Vec<V>,
+    /// Estimated variance of what the world states the error of ([`crate::Stated`]), mean over RGB; empty where it is not
+    /// known, as of a single round.
+    pub variance: Vec<f32>,
+}
+
+/// A light map: values per element slot. Slots without an element are zero.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LightMap {
-    /// Light that comes straight from lights.
-    pub direct: Vec<Vec3>,
-    /// Light after at least one bounce.
-    pub indirect: Vec<Vec3>,
-    /// Estimated variance of what the world states the error of ([`crate::Stated`]), mean over RGB.
-    pub variance: Vec<f32>,
+    /// All light together.
+    pub light: LightValues,
     /// Direct and indirect light by the lights it stems from; empty until somebody relights a light or groups lights.
     pub layers: Vec<Arc<Layer>>,
 }
@@ -43,12 +57,8 @@ pub struct Layer {
     pub name: String,
     /// Its lights.
     pub lights: Vec<LayerLight>,
-    /// Straight from its lights, irradiance / π per slot.
-    pub direct: Vec<Vec3>,
-    /// After at least one bounce.
-    pub indirect: Vec<Vec3>,
-    /// Estimated variance of what the world states the error of ([`crate::Stated`]), mean over RGB.
-    pub variance: Vec<f32>,
+    /// Their light alone.
+    pub light: LightValues,
 }
 
 /// A light of a layer.
@@ -60,32 +70,22 @@ pub struct LayerLight {
     pub reference: Vec3,
 }
 
-impl LightMap {
-    /// A map of `len` slots without light.
-    pub fn black(len: usize) -> LightMap {
-        LightMap {
-            direct: vec![Vec3::ZERO; len],
-            indirect: vec![Vec3::ZERO; len],
-            variance: vec![0.0; len],
-            layers: Vec::new(),
-        }
+impl<V: Copy + Default> LightValues<V> {
+    /// No light in `len` slots, without error.
+    pub fn black(len: usize) -> LightValues<V> {
+        let (direct, indirect) = (vec![V::default(); len], vec![V::default(); len]);
+        LightValues { direct, indirect, variance: vec![0.0; len] }
     }
 
-    /// This map with `slots` slots: cut, or with holes at its end.
-    pub fn resized(&self, slots: usize) -> LightMap {
-        let mut map = self.clone();
-        map.direct.resize(slots, Vec3::ZERO);
-        map.indirect.resize(slots, Vec3::ZERO);
-        map.variance.resize(slots, 0.0);
-        for layer in &mut map.layers {
-            let layer = Arc::make_mut(layer);
-            layer.direct.resize(slots, Vec3::ZERO);
-            layer.indirect.resize(slots, Vec3::ZERO);
-            layer.variance.resize(slots, 0.0);
-        }
-        map
+    /// Cuts it to `slots` slots, or gives it black ones at its end.
+    fn resize(&mut self, slots: usize) {
+        self.direct.resize(slots, V::default());
+        self.indirect.resize(slots, V::default());
+        self.variance.resize(slots, 0.0);
     }
+}
 
+impl<V> LightValues<V> {
     /// Slots, empty ones included.
     pub fn len(&self) -> usize {
         self.direct.len()
@@ -95,16 +95,90 @@ impl LightMap {
     pub fn is_empty(&self) -> bool {
         self.direct.is_empty()
     }
+}
+
+impl<V: Copy + Default + Send + Sync + AddAssign> LightValues<V> {
+    /// No light in so many slots, in the memory that is there: fresh memory takes longer than most of what is done with
+    /// it.
+    pub(crate) fn blacken(&mut self, slots: usize) {
+        for values in [&mut self.direct, &mut self.indirect] {
+            (0..slots).into_par_iter().with_min_len(CHUNK).map(|_| V::default()).collect_into_vec(values);
+        }
+    }
+
+    /// Black in some slots.
+    pub(crate) fn without(mut self, slots: &[bool]) -> LightValues<V> {
+        for slot in slots.iter().enumerate().filter(|(_, out)| **out).map(|(slot, _)| slot) {
+            (self.direct[slot], self.indirect[slot]) = (V::default(), V::default());
+        }
+        self
+    }
+
+    /// Adds indirect light.
+    pub(crate) fn add_indirect(&mut self, light: &[V]) {
+        self.indirect.par_iter_mut().zip(light).with_min_len(CHUNK).for_each(|(i, b)| *i += *b);
+    }
+}
+
+impl LightValues {
+    /// Some of the light, per slot; what is stored is not copied.
+    pub fn part(&self, part: LightPart) -> Cow<'_, [Vec3]> {
+        match part {
+            LightPart::Full => self.direct.iter().zip(&self.indirect).map(|(d, i)| *d + *i).collect(),
+            LightPart::Direct => Cow::Borrowed(&self.direct),
+            LightPart::Indirect => Cow::Borrowed(&self.indirect),
+        }
+    }
+}
+
+impl From<LightValues> for LightMap {
+    /// A map without layers.
+    fn from(light: LightValues) -> LightMap {
+        LightMap { light, layers: Vec::new() }
+    }
+}
+
+impl LightMap {
+    /// A map of `len` slots without light.
+    pub fn black(len: usize) -> LightMap {
+        LightValues::black(len).into()
+    }
+
+    /// What the map is the sum of, at least one: its layers, or all light together where it has none.
+    pub(crate) fn parts(&self) -> Vec<&LightValues> {
+        match self.layers.is_empty() {
+            true => vec![&self.light],
+            false => self.layers.iter().map(|layer| &layer.light).collect(),
+        }
+    }
+
+    /// This map with `slots` slots: cut, or with holes at its end.
+    pub fn resized(&self, slots: usize) -> LightMap {
+        let mut map = self.clone();
+        map.light.resize(slots);
+        map.layers.iter_mut().for_each(|layer| Arc::make_mut(layer).light.resize(slots));
+        map
+    }
+
+    /// Slots, empty ones included.
+    pub fn len(&self) -> usize {
+        self.light.len()
+    }
+
+    /// Whether there is no slot.
+    pub fn is_empty(&self) -> bool {
+        self.light.is_empty()
+    }
 
     /// Direct + indirect of one slot.
     pub fn total(&self, element: usize) -> Vec3 {
-        self.direct[element] + self.indirect[element]
+        self.light.direct[element] + self.light.indirect[element]
     }
 
     /// Area-weighted root of the mean variance: the stated error.
     pub fn estimated_rmse(&self, areas: &Chunks<f32>) -> f32 {
         let (mut sum, mut area) = (0.0f64, 0.0f64);
-        for (v, a) in self.variance.iter().zip(areas.iter()) {
+        for (v, a) in self.light.variance.iter().zip(areas.iter()) {
             sum += f64::from(*v) * f64::from(*a);
             area += f64::from(*a);
         }

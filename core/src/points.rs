@@ -55,8 +55,8 @@ pub fn light_at(
     assert_eq!(map.len(), world.slots(), "a light map has one value per slot");
     let gathers = options.part != LightPart::Direct;
     let total: Vec<Vec3> = (0..map.len()).filter(|_| gathers).map(|slot| map.total(slot)).collect();
-    let rough = if gathers { Rough::new(world, &map.direct, &[Vec3::ONE]) } else { Rough::default() };
-    let field = Field { total: &total, direct: &map.direct, rough: &rough };
+    let rough = if gathers { Rough::new(world, &map.light.direct, &[Vec3::ONE]) } else { Rough::default() };
+    let field = Field { total: &total, direct: &map.light.direct, rough: &rough };
     let samples = options.samples.max(2);
     let shares = shares(samples);
     let one = |(index, (point, n)): (usize, &(DVec3, Vec3))| {
@@ -173,7 +173,7 @@ mod tests {
         let points: Vec<_> = slots.iter().map(place).collect();
         let found = at(&world, &map, &points, LightPart::Full);
         let z = |(point, &slot): (&PointLight, &usize)| {
-            let variance = point.error * point.error + map.variance[slot];
+            let variance = point.error * point.error + map.light.variance[slot];
             f64::from((point.light - map.total(slot)).element_sum() / 3.0) / f64::from(variance).sqrt()
         };
         let mut squares: Vec<f64> =

@@ -10,7 +10,7 @@ use crate::bake::bake_map;
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer};
 use crate::layers::headers_of_layers;
-use crate::lightmap::LightMap;
+use crate::lightmap::{LightMap, LightValues};
 use crate::random::subseed;
 use crate::rounds::Goal;
 use crate::transport::Work;
@@ -42,7 +42,7 @@ pub(crate) fn refine_with(
     let seed = subseed(seed, 0x4ef1);
     // The old map stays until the new one's variance is known.
     let improve = |new: LightMap| {
-        if new.variance.iter().any(|v| *v > 0.0) { blend(world, map, new) } else { map.clone() }
+        if new.light.variance.iter().any(|v| *v > 0.0) { blend(world, map, new) } else { map.clone() }
     };
     let goal = Goal { budget, importance: &Importance::default(), seed, estimates: false, guesses: false };
     bake_map(world, &headers_of_layers(map), &improve, &goal, work)
@@ -60,26 +60,23 @@ fn blend(world: &World, old: &LightMap, mut new: LightMap) -> LightMap {
     let mix = |new: &mut [Vec3], old: &[Vec3]| {
         new.iter_mut().zip(old).zip(&weights).for_each(|((n, o), w)| *n = o.lerp(*n, *w));
     };
-    let mix_variance = |new: &mut [f32], old: &[f32]| {
-        let pairs = new.iter_mut().zip(old).zip(&weights);
-        pairs.for_each(|((n, o), w)| *n = (1.0 - w) * (1.0 - w) * o + w * w * *n);
-    };
-    mix(&mut new.direct, &old.direct);
-    mix(&mut new.indirect, &old.indirect);
-    mix_variance(&mut new.variance, &old.variance);
-    for (new, old) in new.layers.iter_mut().zip(&old.layers) {
-        let new = Arc::make_mut(new);
+    let mix_all = |new: &mut LightValues, old: &LightValues| {
         mix(&mut new.direct, &old.direct);
         mix(&mut new.indirect, &old.indirect);
-        mix_variance(&mut new.variance, &old.variance);
-    }
+        let pairs = new.variance.iter_mut().zip(&old.variance).zip(&weights);
+        pairs.for_each(|((n, o), w)| *n = (1.0 - w) * (1.0 - w) * o + w * w * *n);
+    };
+    mix_all(&mut new.light, &old.light);
+    let layers = new.layers.iter_mut().zip(&old.layers);
+    layers.for_each(|(new, old)| mix_all(&mut Arc::make_mut(new).light, &old.light));
     new
 }
 
 /// Area-weighted mean variance per object.
 fn variances(world: &World, map: &LightMap) -> BTreeMap<u32, f64> {
     let mut sums: BTreeMap<u32, (f64, f64)> = BTreeMap::new();
-    for ((key, area), variance) in world.space.slots().owners.iter().zip(world.areas().iter()).zip(&map.variance) {
+    for ((key, area), variance) in world.space.slots().owners.iter().zip(world.areas().iter()).zip(&map.light.variance)
+    {
         let sum = sums.entry(*key).or_default();
         sum.0 += f64::from(*area) * f64::from(*variance);
         sum.1 += f64::from(*area);

@@ -2,32 +2,54 @@
 
 use std::sync::Arc;
 
+use glam::Vec3;
+
 use crate::accumulate::Accumulator;
-use crate::estimate::Estimate;
 use crate::focus::Focus;
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Pass, Progress, Snapshot};
-use crate::layers::Stack;
-use crate::lightmap::LightMap;
+use crate::layers::{Apart, Stack};
+use crate::lightmap::{LightMap, LightValues};
 use crate::random::subseed;
 use crate::transport::Work;
 use crate::value::Value;
-use crate::world::World;
+use crate::world::{Validity, World};
 
 /// Samples per element of the first two rounds; every later round doubles the total.
 const FIRST_SAMPLES: u32 = 4;
 
-/// What one round is told.
+/// What one round is told beside its prior.
 #[derive(Clone, Copy)]
-pub(crate) struct Round<'a, V> {
+pub(crate) struct Round<'a> {
     /// Samples per element.
     pub samples: u32,
+    /// Samples per element of the rounds before it.
+    pub earlier: u32,
     /// This round's own seed.
     pub seed: u64,
-    /// What earlier rounds have gathered.
-    pub sum: &'a Accumulator<V>,
     /// Tells the caller which pass begins; `f32` is the part of the round that is done.
     pub begin: &'a dyn Fn(Pass, f32),
+}
+
+/// What is estimated in independent rounds. A round is a function of what it is told: it leaves nothing behind.
+pub(crate) trait Estimator<V> {
+    /// What rounds go by: it says where samples are of most use. What they find is right on average whatever it says.
+    type Prior;
+
+    /// The first round, written over `out`, and what the next may go by. `known` is what rounds for a part of the map
+    /// went by.
+    fn first_round(
+        &self,
+        known: Option<Self::Prior>,
+        round: &Round,
+        out: &mut LightValues<V>,
+    ) -> Result<Self::Prior, Canceled>;
+
+    /// What the next round goes by: what the last went by, and what all of them have found.
+    fn prior(&self, last: Self::Prior, sum: &Accumulator<V>) -> Self::Prior;
+
+    /// One independent estimate, written over `out`.
+    fn round(&self, prior: &Self::Prior, round: &Round, out: &mut LightValues<V>) -> Result<(), Canceled>;
 }
 
 /// What a run of rounds is for.
@@ -71,10 +93,20 @@ impl Goal<'_> {
         self.importance.focus.as_ref()
     }
 
-    /// How far what comes first is computed before the rest.
-    pub(crate) fn first_budget(&self) -> Budget {
-        let samples = self.importance.samples();
-        Budget { samples_per_element: self.budget.samples_per_element.min(samples), target_rmse: None }
+    /// Rounds towards it. What comes first is computed to its own quality before the rest.
+    pub(crate) fn rounds<'r>(
+        &self,
+        world: &'r World,
+        weights: &'r [Vec3],
+        work: &'r Work<'r>,
+        phase: Phase,
+    ) -> Rounds<'r> {
+        let samples = self.budget.samples_per_element.min(self.importance.samples());
+        let (budget, seed) = match phase {
+            Phase::Part => (Budget { samples_per_element: samples, target_rmse: None }, self.first_seed()),
+            Phase::Whole | Phase::Rest => (*self.budget, self.seed),
+        };
+        Rounds { world, weights, budget, seed, work, phase, guesses: self.guesses }
     }
 
     /// Seed of what comes first.
@@ -88,25 +120,26 @@ pub(crate) struct First<V> {
     pub stack: Stack<V>,
     /// Samples per slot.
     pub samples: Vec<u32>,
+    /// The light before, whose noise is in this and in what follows; none where all is computed from scratch.
+    pub old: Option<Stack<V>>,
 }
 
 impl<V: Value> First<V> {
-    /// With the same number of samples wherever somebody looks.
-    pub(crate) fn evenly(stack: Stack<V>, is_seen: &[bool], samples: u32) -> First<V> {
-        First { stack, samples: is_seen.iter().map(|seen| if *seen { samples } else { 0 }).collect() }
-    }
-
-    /// The mean, by samples, of what was done first and what followed, in some slots. Both hold the noise of `shared`.
-    pub(crate) fn merge(
+    /// The mean, by samples, of what was done first and what followed, in some slots.
+    pub(crate) fn merged(
         &self,
-        stack: &mut Stack<V>,
-        samples: u32,
+        sum: &Accumulator<V>,
         slots: impl Iterator<Item = u32>,
-        shared: Option<&Stack<V>>,
-    ) {
-        let weight = |first: u32| first as f32 / (first + samples) as f32;
-        let of = |slot: u32| (self.samples[slot as usize] > 0).then(|| (slot, weight(self.samples[slot as usize])));
-        stack.blend(&self.stack, slots.filter_map(of), shared);
+        validity: &Validity,
+    ) -> Stack<V> {
+        let weight = |slot: u32| {
+            let first = self.samples[slot as usize];
+            (first > 0).then(|| (slot, first as f32 / (first + sum.samples()) as f32))
+        };
+        let mut stack = Stack::of_mean(sum, self.old.as_ref(), validity);
+        stack.blend(&self.stack, slots.filter_map(weight), self.old.as_ref());
+        stack.fill_invalid(validity);
+        stack
     }
 }
 
@@ -115,9 +148,9 @@ pub(crate) struct Rounds<'a> {
     /// What the map is of.
     pub world: &'a World,
     /// What each layer weighs in the whole.
-    pub weights: &'a [glam::Vec3],
+    pub weights: &'a [Vec3],
     /// When to stop.
-    pub budget: &'a Budget,
+    pub budget: Budget,
     /// Every round gets one of its own from it.
     pub seed: u64,
     /// Rays, cancel, observer.
@@ -131,109 +164,160 @@ pub(crate) struct Rounds<'a> {
 /// Parts of a tile's samples that its first rounds have: so many rounds tell its variance.
 const TILE_PARTS: u32 = 4;
 
+/// What has come of some rounds.
+struct Ran<V, P> {
+    sum: Accumulator<V>,
+    /// What the last went by; none where there was no round, and nothing known.
+    prior: Option<P>,
+    /// The observer let no more of them run.
+    was_ended: bool,
+}
+
+/// What is said of all rounds so far.
+struct Judged {
+    estimated_rmse: Option<f32>,
+    /// More of them are of no use.
+    enough: bool,
+}
+
+/// Light maps as rounds bring them, and what the next round would go by.
+type Mapped<T, P> = (Option<T>, Option<P>);
+
 impl Rounds<'_> {
     /// Runs them for a part of the map that is shown when it is done; none where the observer ends it before.
-    pub(crate) fn run_quietly<V: Value>(
+    pub(crate) fn run_tile<V: Value, E: Estimator<V>>(
         &self,
-        mut round: impl FnMut(&Round<V>, &mut Estimate<V>) -> Result<(), Canceled>,
+        estimator: &E,
+        known: E::Prior,
     ) -> Result<Option<Accumulator<V>>, Canceled> {
-        let (budget, work) = (self.budget, self.work);
-        let observer = work.observer();
-        let mut sum = Accumulator::new(self.weights, self.world.stated());
-        let mut light = Estimate::default();
-        for index in 0.. {
-            let left = budget.samples_per_element.saturating_sub(sum.samples());
-            if left == 0 {
-                break;
-            }
-            let proposed = sum.samples().max(budget.samples_per_element.div_ceil(TILE_PARTS)).min(left);
-            let progress = |pass, round_samples, round_fraction| Progress {
-                pass,
-                samples_per_element: 0,
-                round_samples,
-                round_fraction,
-                rays: work.rays(),
-                estimated_rmse: None,
-            };
-            work.check()?;
-            if observer.leaves_first() {
-                return Ok(None);
-            }
-            let samples = observer.plan_round(&progress(Pass::Direct, proposed, 0.0), proposed).min(proposed);
-            if samples == 0 {
-                return Ok(None);
-            }
-            let begin = |pass, fraction| observer.progress(&progress(pass, samples, fraction));
-            round(&Round { samples, seed: subseed(self.seed, index), sum: &sum, begin: &begin }, &mut light)?;
-            sum.add(samples, &mut light);
+        let least = self.budget.samples_per_element.div_ceil(TILE_PARTS);
+        let judge = |_: &mut _, _: &_, _| Judged { estimated_rmse: None, enough: false };
+        let mut ran = self.run(least, estimator, Some(known), judge)?;
+        if ran.sum.knows_variance() {
+            ran.sum.ask_neighbours(self.world);
         }
-        if sum.knows_variance() {
-            sum.ask_neighbours(self.world);
-        }
-        Ok(Some(sum))
+        Ok((!ran.was_ended).then_some(ran.sum))
     }
 
-    /// Runs them. `round` writes one independent estimate over the one before it, `compose` makes a light map of all,
-    /// `stated` tells its error, `enough` whether more rounds are of no use.
-    pub(crate) fn run<V: Value>(
+    /// Runs them for what somebody looks at, and answers it with what its rounds went by. `old` is the light before, and
+    /// the slots that keep it as long as nobody looks; `finish` makes a map of what lies side by side.
+    pub(crate) fn run_first<V: Value, E: Estimator<V>>(
         &self,
+        estimator: &E,
+        is_seen: &[bool],
+        old: Option<(Stack<V>, &[u32])>,
+        finish: &dyn Fn(Apart) -> LightMap,
+    ) -> Result<Mapped<First<V>, E::Prior>, Canceled> {
+        let (old, keep) = old.map_or((None, &[][..]), |(old, keep)| (Some(old), keep));
+        let mut last = None;
+        let compose = |sum: &Accumulator<V>, _: &E::Prior| {
+            let mut stack = Stack::of_mean(sum, old.as_ref(), &self.world.validity);
+            if let Some(old) = &old {
+                stack.take(old, keep.iter().copied().filter(|&slot| !is_seen[slot as usize]));
+                stack.fill_invalid(&self.world.validity);
+            }
+            let map = finish(Apart::of_stack(&stack, self.weights.len()));
+            last = Some((stack, sum.samples()));
+            map
+        };
+        // The rest of the map is out of date: nothing can be stated about the whole.
+        let (_, prior) = self.run_and_show(estimator, None, |_| None, |_| false, compose)?;
+        let samples = |samples: u32| is_seen.iter().map(|seen| if *seen { samples } else { 0 }).collect();
+        Ok((last.map(|(stack, done)| First { stack, samples: samples(done), old }), prior))
+    }
+
+    /// Runs them, and shows a map after each. `compose` makes it of all, `stated` tells its error, `enough` whether more
+    /// rounds are of no use. Answers the last map.
+    pub(crate) fn run_and_show<V: Value, E: Estimator<V>>(
+        &self,
+        estimator: &E,
+        known: Option<E::Prior>,
         stated: impl Fn(&LightMap) -> Option<f32>,
         enough: impl Fn(&Accumulator<V>) -> bool,
-        mut round: impl FnMut(&Round<V>, &mut Estimate<V>) -> Result<(), Canceled>,
-        mut compose: impl FnMut(&Accumulator<V>) -> LightMap,
-    ) -> Result<Option<Arc<LightMap>>, Canceled> {
-        let Rounds { budget, work, phase, .. } = *self;
-        let observer = work.observer();
-        let mut sum = Accumulator::new(self.weights, self.world.stated());
-        let mut light = Estimate::default();
-        let mut last: Option<Arc<LightMap>> = None;
-        let mut estimated_rmse = None;
-        for index in 0.. {
-            let left = budget.samples_per_element.saturating_sub(sum.samples());
-            let proposed = sum.samples().max(FIRST_SAMPLES).min(left);
-            let progress = |pass, round_samples, round_fraction| Progress {
-                pass,
-                samples_per_element: if phase == Phase::Part { 0 } else { sum.samples() },
-                round_samples,
-                round_fraction,
-                rays: work.rays(),
-                estimated_rmse,
-            };
-            work.check()?;
-            if proposed == 0 || phase == Phase::Part && observer.leaves_first() {
-                break;
-            }
-            let samples = observer.plan_round(&progress(Pass::Direct, proposed, 0.0), proposed).min(proposed);
-            let samples = if phase == Phase::Rest && index == 0 { samples.max(1) } else { samples };
-            if samples == 0 {
-                break;
-            }
-            let begin = |pass, fraction| observer.progress(&progress(pass, samples, fraction));
-            round(&Round { samples, seed: subseed(self.seed, index), sum: &sum, begin: &begin }, &mut light)?;
-            sum.add(samples, &mut light);
+        mut compose: impl FnMut(&Accumulator<V>, &E::Prior) -> LightMap,
+    ) -> Result<Mapped<Arc<LightMap>, E::Prior>, Canceled> {
+        let mut last = None;
+        let ran = self.run(FIRST_SAMPLES, estimator, known, |sum, prior, samples| {
             if self.guesses || sum.knows_variance() {
                 sum.ask_neighbours(self.world);
             }
-            let map = Arc::new(compose(&sum));
-            estimated_rmse = stated(&map);
-            let done = Progress {
-                pass: Pass::FinalGather,
-                samples_per_element: if phase == Phase::Part { 0 } else { sum.samples() },
-                round_samples: samples,
-                round_fraction: 1.0,
-                rays: work.rays(),
-                estimated_rmse,
-            };
-            observer.progress(&done);
-            observer.snapshot(&map, phase.snapshot(estimated_rmse), &done);
-            let reached = matches!((budget.target_rmse, estimated_rmse), (Some(target), Some(rmse)) if rmse <= target);
-            // A guess ends nothing.
-            let enough = reached && sum.knows_variance() || enough(&sum);
+            let map = Arc::new(compose(sum, prior));
+            let estimated_rmse = stated(&map);
+            let done = Progress { estimated_rmse, ..self.progress(sum, Pass::FinalGather, samples, 1.0) };
+            self.work.observer().progress(&done);
+            self.work.observer().snapshot(&map, self.phase.snapshot(estimated_rmse), &done);
             last = Some(map);
-            if enough {
+            let reached = self.budget.target_rmse.zip(estimated_rmse).is_some_and(|(target, rmse)| rmse <= target);
+            // A guess ends nothing.
+            Judged { estimated_rmse, enough: reached && sum.knows_variance() || enough(sum) }
+        })?;
+        Ok((last, ran.prior))
+    }
+
+    /// Runs them, the first two of `least` samples, every later one of as many as all before it. `judge` is asked after
+    /// each, and told what it went by and its samples.
+    fn run<V: Value, E: Estimator<V>>(
+        &self,
+        least: u32,
+        estimator: &E,
+        mut prior: Option<E::Prior>,
+        mut judge: impl FnMut(&mut Accumulator<V>, &E::Prior, u32) -> Judged,
+    ) -> Result<Ran<V, E::Prior>, Canceled> {
+        let observer = self.work.observer();
+        let mut sum = Accumulator::new(self.weights, self.world.stated());
+        let (mut light, mut judged) = (LightValues::default(), Judged { estimated_rmse: None, enough: false });
+        for index in 0.. {
+            let left = self.budget.samples_per_element.saturating_sub(sum.samples());
+            if judged.enough {
                 break;
             }
+            self.work.check()?;
+            if left == 0 {
+                break;
+            }
+            let estimated_rmse = judged.estimated_rmse;
+            let progress =
+                |pass, samples, part| Progress { estimated_rmse, ..self.progress(&sum, pass, samples, part) };
+            let proposed = sum.samples().max(least).min(left);
+            let samples = match self.phase == Phase::Part && observer.leaves_first() {
+                true => 0,
+                false => observer.plan_round(&progress(Pass::Direct, proposed, 0.0), proposed).min(proposed),
+            };
+            let samples = if self.phase == Phase::Rest && index == 0 { samples.max(1) } else { samples };
+            if samples == 0 {
+                return Ok(Ran { sum, prior, was_ended: true });
+            }
+            let begin = |pass, fraction| observer.progress(&progress(pass, samples, fraction));
+            let round = Round { samples, earlier: sum.samples(), seed: subseed(self.seed, index), begin: &begin };
+            let known = match prior {
+                Some(last) if round.earlier > 0 => {
+                    let prior = estimator.prior(last, &sum);
+                    estimator.round(&prior, &round, &mut light)?;
+                    prior
+                }
+                known => estimator.first_round(known, &round, &mut light)?,
+            };
+            sum.add(samples, &mut light);
+            judged = judge(&mut sum, &known, samples);
+            prior = Some(known);
         }
-        Ok(last)
+        Ok(Ran { sum, prior, was_ended: false })
+    }
+
+    fn progress<V: Value>(
+        &self,
+        sum: &Accumulator<V>,
+        pass: Pass,
+        round_samples: u32,
+        round_fraction: f32,
+    ) -> Progress {
+        Progress {
+            pass,
+            samples_per_element: if self.phase == Phase::Part { 0 } else { sum.samples() },
+            round_samples,
+            round_fraction,
+            rays: self.work.rays(),
+            estimated_rmse: None,
+        }
     }
 }

@@ -31,6 +31,9 @@ pub(crate) trait Value:
     /// Light of one layer.
     fn of_layer(layer: u32, light: Vec3) -> Self;
 
+    /// Light of some layers, of none in those that are left.
+    fn of_layers(layers: &[Vec3]) -> Self;
+
     /// Adds to the light of one layer.
     fn add_to_layer(&mut self, layer: u32, light: Vec3);
 
@@ -86,6 +89,11 @@ impl Value for Vec3 {
     #[inline]
     fn of_layer(_: u32, light: Vec3) -> Self {
         light
+    }
+
+    #[inline]
+    fn of_layers(layers: &[Vec3]) -> Self {
+        layers.first().copied().unwrap_or_default()
     }
 
     #[inline]
@@ -146,6 +154,13 @@ impl<const K: usize> Value for Layered<K> {
     fn of_layer(layer: u32, light: Vec3) -> Self {
         let mut value = Layered::default();
         value.0[layer as usize] = light;
+        value
+    }
+
+    #[inline]
+    fn of_layers(layers: &[Vec3]) -> Self {
+        let mut value = Layered::default();
+        value.0.iter_mut().zip(layers).for_each(|(value, light)| *value = *light);
         value
     }
 

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use glam::{DMat4, DVec3, Vec3};
 pub(crate) use rebake_core::atlas::{Atlas, AtlasError, AtlasOptions};
 pub(crate) use rebake_core::export::{LightAbout, Originals};
-pub(crate) use rebake_core::layers::{Layer, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER};
+pub(crate) use rebake_core::layers::{Layer, LightValues, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER};
 pub(crate) use rebake_core::object_areas;
 pub(crate) use rebake_core::scene::Object;
 use rebake_core::scene::{self, DEFAULT_MAX_ALBEDO, LoadLimits, NodeSource};
@@ -307,7 +307,7 @@ pub(crate) fn with_layers_of(known: Arc<LightMap>, later: &LightMap, scene: &Sce
         return known;
     }
     match adds_up(&known, &later.layers, &later.layer_weights(scene)) {
-        true => Arc::new(LightMap { layers: later.layers.clone(), ..LightMap::clone(&known) }),
+        true => Arc::new(LightMap { light: known.light.clone(), layers: later.layers.clone() }),
         false => known,
     }
 }
@@ -316,16 +316,16 @@ pub(crate) fn with_layers_of(known: Arc<LightMap>, later: &LightMap, scene: &Sce
 fn adds_up(map: &LightMap, layers: &[Arc<Layer>], weights: &[Vec3]) -> bool {
     /// Relative to what is added: some dozen roundings of `f32`.
     const ROUNDING: f32 = 4e-6;
-    let fits = |slot: usize, whole: &[Vec3], part: fn(&Layer) -> &[Vec3]| {
+    let fits = |slot: usize, whole: &[Vec3], part: fn(&LightValues) -> &[Vec3]| {
         let (mut sum, mut size) = (Vec3::ZERO, whole[slot].abs());
         for (layer, weight) in layers.iter().zip(weights) {
-            let value = part(layer)[slot] * *weight;
+            let value = part(&layer.light)[slot] * *weight;
             sum += value;
             size += value.abs();
         }
         (sum - whole[slot]).abs().cmple(size * ROUNDING).all()
     };
     (0..map.len()).all(|slot| {
-        fits(slot, &map.direct, |layer| &layer.direct) && fits(slot, &map.indirect, |layer| &layer.indirect)
+        fits(slot, &map.light.direct, |light| &light.direct) && fits(slot, &map.light.indirect, |light| &light.indirect)
     })
 }

@@ -41,10 +41,7 @@ impl Mode {
 
     /// Radiance / albedo per slot, as computed: noise has both signs.
     pub fn values(self, map: &LightMap) -> Cow<'_, [Vec3]> {
-        match self {
-            Mode::Full => (0..map.len()).map(|slot| map.total(slot)).collect(),
-            Mode::Indirect => Cow::Borrowed(&map.indirect),
-        }
+        map.light.part(self.part())
     }
 }
 

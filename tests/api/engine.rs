@@ -112,11 +112,11 @@ fn values(world: &World, old: &LightMap, seed: u64, samples: u32) -> LightMap {
     for (slot, area) in world.areas().iter().enumerate() {
         let hash = (slot as u64 ^ seed).wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(samples) >> 40;
         if *area > 0.0 && hash.is_multiple_of(2) {
-            map.direct[slot] = Vec3::splat(hash as f32 / 1e6);
-            map.indirect[slot] = Vec3::new(hash as f32 / 2e6, 0.0, -0.0);
+            map.light.direct[slot] = Vec3::splat(hash as f32 / 1e6);
+            map.light.indirect[slot] = Vec3::new(hash as f32 / 2e6, 0.0, -0.0);
         }
         if *area > 0.0 {
-            map.variance[slot] = (samples as f32).powi(-2);
+            map.light.variance[slot] = (samples as f32).powi(-2);
         }
     }
     map
@@ -167,7 +167,7 @@ impl Engine for Scripted {
             }
             progress.samples_per_element += 4;
             let mut better = values(world, &map, seed, progress.samples_per_element);
-            better.variance = map.variance.iter().map(|variance| variance / 4.0).collect();
+            better.light.variance = map.light.variance.iter().map(|variance| variance / 4.0).collect();
             map = Arc::new(better);
             progress.estimated_rmse = Some(map.estimated_rmse(world.areas()));
             observer.snapshot(&map, Snapshot::Complete { stated: progress.estimated_rmse }, &progress);

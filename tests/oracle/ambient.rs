@@ -71,7 +71,7 @@ fn the_ambient_term_of_a_furnace_is_all_its_indirect_light() {
         let layer = |i: u64| {
             let layer = estimates[i as usize].layers.iter().find(|layer| layer.name == name).expect("a layer");
             assert!(layer.lights.iter().all(|light| light.reference == Vec3::ONE));
-            area_mean(&world, |_| true, |slot| layer.indirect[slot].as_dvec3())
+            area_mean(&world, |_| true, |slot| layer.light.indirect[slot].as_dvec3())
         };
         let truth = (albedo / (1.0 - albedo)).as_dvec3().element_sum() / 3.0 * part / area;
         assert_agrees(&format!("ambient term of the {name}"), replicate(8, layer), truth, 0.0);
@@ -79,8 +79,9 @@ fn the_ambient_term_of_a_furnace_is_all_its_indirect_light() {
     // All together at their strengths, channel by channel.
     let emission = (red * 2.0 + green * 1.5 + (area as f32 - 3.5)) / area as f32;
     for channel in 0..3 {
-        let of =
-            |map: &LightMap| area_mean(&world, |_| true, |slot| DVec3::splat(f64::from(map.indirect[slot][channel])));
+        let of = |map: &LightMap| {
+            area_mean(&world, |_| true, |slot| DVec3::splat(f64::from(map.light.indirect[slot][channel])))
+        };
         let truth = emission[channel] * albedo[channel] / (1.0 - albedo[channel]);
         let found = replicate(8, |i| of(&estimates[i as usize]));
         assert_agrees(&format!("ambient term, channel {channel}"), found, f64::from(truth), 0.0);
@@ -93,9 +94,9 @@ fn nothing_comes_back_from_where_nothing_is() {
     let sky = Edit::InsertLight { name: "sky".into(), kind: LightKind::Environment, color: Vec3::ONE, intensity: 1.0 };
     let world = world(vec![boxed], 0.1).apply(&[sky]).expect("a sky").after;
     let (estimate, _) = estimated(&world, 1, 1);
-    assert!(estimate.indirect.iter().all(|light| *light == Vec3::ZERO));
+    assert!(estimate.light.indirect.iter().all(|light| *light == Vec3::ZERO));
     let lit = (0..world.slots()).filter(|&slot| world.areas()[slot] > 0.0);
-    assert!(lit.map(|slot| estimate.direct[slot]).all(|light| light == Vec3::ONE));
+    assert!(lit.map(|slot| estimate.light.direct[slot]).all(|light| light == Vec3::ONE));
 }
 
 #[test]
@@ -115,9 +116,10 @@ fn the_ambient_term_is_nearer_to_the_light_than_none_and_not_in_the_map() {
             area_mean(&world, |_| true, |i| (found[i] - light[i]).as_dvec3().powf(2.0)).sqrt()
         };
         let nothing = vec![Vec3::ZERO; map.len()];
-        let parts = [(&estimate.indirect, &map.indirect)];
-        let parts =
-            parts.into_iter().chain(estimate.layers.iter().zip(&map.layers).map(|(a, b)| (&a.indirect, &b.indirect)));
+        let parts = [(&estimate.light.indirect, &map.light.indirect)];
+        let parts = parts
+            .into_iter()
+            .chain(estimate.layers.iter().zip(&map.layers).map(|(a, b)| (&a.light.indirect, &b.light.indirect)));
         for (found, light) in parts {
             let (with, without) = (error(found, light), error(&nothing, light));
             assert!(with < 0.5 * without, "off by {with}, by {without} without");
@@ -125,7 +127,7 @@ fn the_ambient_term_is_nearer_to_the_light_than_none_and_not_in_the_map() {
         let weights = estimate.layer_weights(&world.scene);
         for slot in 0..if layered { map.len() } else { 0 } {
             let layers = estimate.layers.iter().zip(&weights);
-            let sum: Vec3 = layers.map(|(l, w)| (l.direct[slot] + l.indirect[slot]) * *w).sum();
+            let sum: Vec3 = layers.map(|(l, w)| (l.light.direct[slot] + l.light.indirect[slot]) * *w).sum();
             assert!(sum.abs_diff_eq(estimate.total(slot), 1e-5 * (1.0 + sum.max_element())), "slot {slot}");
         }
     }

@@ -12,8 +12,8 @@ use super::scenes::{crate_at, room_objects, world};
 fn bits(map: &LightMap) -> Vec<[u32; 7]> {
     (0..map.len())
         .map(|i| {
-            let (d, n) = (map.direct[i].to_array(), map.indirect[i].to_array());
-            [d[0], d[1], d[2], n[0], n[1], n[2], map.variance[i]].map(f32::to_bits)
+            let (d, n) = (map.light.direct[i].to_array(), map.light.indirect[i].to_array());
+            [d[0], d[1], d[2], n[0], n[1], n[2], map.light.variance[i]].map(f32::to_bits)
         })
         .collect()
 }

@@ -33,7 +33,7 @@ pub(super) fn check(name: &str, before: &World, edits: &[Edit], near: Vec3) {
         })
         .collect();
     type Pick = (&'static str, fn(&LightMap, usize) -> Vec3);
-    let parts: [Pick; 2] = [("direct", |m, i| m.direct[i]), ("indirect", |m, i| m.indirect[i])];
+    let parts: [Pick; 2] = [("direct", |m, i| m.light.direct[i]), ("indirect", |m, i| m.light.indirect[i])];
     let close = |i: usize| after.positions()[i].distance(near) < 0.8;
     for (part, value) in parts {
         for (region, inside) in [("everywhere", false), ("near the edit", true)] {
@@ -165,8 +165,8 @@ fn objects_without_triangles_can_be_edited() {
     let removed = moved.after.apply(&[Edit::Remove { objects: vec!["glass".into()] }]).expect("it goes");
     for transition in [&moved, &removed] {
         let new = update(transition, &old, &budget(16), None, 2, &Unobserved).expect("nobody cancels");
-        assert_eq!(new.direct, old.direct);
-        assert_eq!(new.indirect, old.indirect);
+        assert_eq!(new.light.direct, old.light.direct);
+        assert_eq!(new.light.indirect, old.light.indirect);
     }
 }
 
@@ -188,7 +188,7 @@ fn lights_that_all_change_alike_need_no_ray() {
     let new = update(&transition, &old, &budget(16), None, 2, &rays).expect("nobody cancels");
     assert_eq!(rays.0.into_inner(), 0);
     for i in 0..old.len() {
-        assert_eq!(new.direct[i], old.direct[i] * Vec3::new(0.5, 2.0, 0.0));
-        assert_eq!(new.indirect[i], old.indirect[i] * Vec3::new(0.5, 2.0, 0.0));
+        assert_eq!(new.light.direct[i], old.light.direct[i] * Vec3::new(0.5, 2.0, 0.0));
+        assert_eq!(new.light.indirect[i], old.light.indirect[i] * Vec3::new(0.5, 2.0, 0.0));
     }
 }

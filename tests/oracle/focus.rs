@@ -149,7 +149,8 @@ fn what_is_stated_of_the_view_is_the_scatter_of_runs() {
         runs.iter().map(|run| (run.total(i).as_dvec3() - mean).length_squared() / 3.0).sum::<f64>() / (n - 1.0)
     };
     // All runs start from the same map: its noise is stated, too, and no part of the scatter.
-    let stated = |i: usize| runs.iter().map(|run| f64::from(run.variance[i] - carried.variance[i])).sum::<f64>() / n;
+    let stated =
+        |i: usize| runs.iter().map(|run| f64::from(run.light.variance[i] - carried.light.variance[i])).sum::<f64>() / n;
     let found = area_mean(after, region, |i| glam::DVec3::splat(scatter(i)));
     let claimed = area_mean(after, region, |i| glam::DVec3::splat(stated(i)));
     let ratio = (claimed / found).sqrt();

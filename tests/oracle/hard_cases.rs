@@ -34,7 +34,9 @@ fn ratio_to_path_tracing(world: &World, map: &LightMap, samples: u32) -> f64 {
 }
 
 fn assert_finite(name: &str, map: &LightMap) {
-    let finite = |i: usize| map.direct[i].is_finite() && map.indirect[i].is_finite() && map.variance[i].is_finite();
+    let finite = |i: usize| {
+        map.light.direct[i].is_finite() && map.light.indirect[i].is_finite() && map.light.variance[i].is_finite()
+    };
     assert!((0..map.len()).all(finite), "{name}: a value is not finite");
 }
 

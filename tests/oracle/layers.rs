@@ -77,7 +77,10 @@ fn check_layer(name: &str, world: &World, maps: &[Arc<LightMap>], layer: usize, 
     let alone = alone(world, &maps[0].layers[layer]);
     let fresh: Vec<Arc<LightMap>> = (0..4).map(|seed| baked(&alone, 128, 900 + seed)).collect();
     type Pick = (&'static str, fn(&Layer) -> &Vec<Vec3>, fn(&LightMap) -> &Vec<Vec3>);
-    let parts: [Pick; 2] = [("direct", |l| &l.direct, |m| &m.direct), ("indirect", |l| &l.indirect, |m| &m.indirect)];
+    let parts: [Pick; 2] = [
+        ("direct", |l| &l.light.direct, |m| &m.light.direct),
+        ("indirect", |l| &l.light.indirect, |m| &m.light.indirect),
+    ];
     for (part, of_layer, of_map) in parts {
         let mean = |world: &World, values: &Vec<Vec3>| area_mean(world, |_| true, |i| values[i].as_dvec3());
         let of_fresh = replicate(fresh.len() as u64, |i| mean(&alone, of_map(&fresh[i as usize])));
@@ -92,7 +95,8 @@ fn check_layer(name: &str, world: &World, maps: &[Arc<LightMap>], layer: usize, 
 fn check_sum(world: &World, map: &LightMap) {
     let weights = map.layer_weights(&world.scene);
     for slot in 0..map.len() {
-        let sum: Vec3 = map.layers.iter().zip(&weights).map(|(l, w)| (l.direct[slot] + l.indirect[slot]) * *w).sum();
+        let sum: Vec3 =
+            map.layers.iter().zip(&weights).map(|(l, w)| (l.light.direct[slot] + l.light.indirect[slot]) * *w).sum();
         let off = (sum - map.total(slot)).abs().max_element();
         assert!(off <= 1e-5 * (1.0 + sum.abs().max_element()), "slot {slot}: {sum} {}", map.total(slot));
     }
@@ -146,7 +150,7 @@ fn a_light_that_is_relit_gets_a_layer_of_its_own_and_then_needs_no_ray() {
     let stated = area_mean(
         &first.after,
         |_| true,
-        |i| DVec3::splat(maps.iter().map(|m| f64::from(m.variance[i])).sum::<f64>() / n),
+        |i| DVec3::splat(maps.iter().map(|m| f64::from(m.light.variance[i])).sum::<f64>() / n),
     );
     let ratio = (stated / scatter).sqrt();
     assert!((0.67..1.5).contains(&ratio), "stated over found error: {ratio}");
@@ -164,8 +168,8 @@ fn a_light_that_is_relit_gets_a_layer_of_its_own_and_then_needs_no_ray() {
     // Back at its old strength the light is what it was, bit for bit.
     let back = world.apply(&[relight("red", Vec3::new(1.0, 0.2, 0.1), 3.0)]).expect("a relight");
     let back = update(&back, &map, &budget(16), None, 8, &Unobserved).expect("nobody cancels");
-    assert_eq!(back.direct, maps[0].direct);
-    assert_eq!(back.indirect, maps[0].indirect);
+    assert_eq!(back.light.direct, maps[0].light.direct);
+    assert_eq!(back.light.indirect, maps[0].light.indirect);
 }
 
 #[test]
@@ -291,12 +295,12 @@ fn a_dragged_light_has_frames_near_the_exact_update() {
     let exact = baked(&alone(&transition.after, &frame.layers[red]), 256, 4);
     let mean = |values: &Vec<Vec3>| area_mean(&transition.after, |_| true, |i| values[i].as_dvec3());
     let (frame, old) = (&frame.layers[red], &map.layers[red]);
-    assert!((mean(&frame.direct) / mean(&exact.direct) - 1.0).abs() < 1e-4);
-    let ratio = mean(&frame.indirect) / mean(&exact.indirect);
+    assert!((mean(&frame.light.direct) / mean(&exact.light.direct) - 1.0).abs() < 1e-4);
+    let ratio = mean(&frame.light.indirect) / mean(&exact.light.indirect);
     let error = |values: &Vec<Vec3>| {
-        area_mean(&transition.after, |_| true, |i| (values[i] - exact.indirect[i]).as_dvec3().powf(2.0)).sqrt()
+        area_mean(&transition.after, |_| true, |i| (values[i] - exact.light.indirect[i]).as_dvec3().powf(2.0)).sqrt()
     };
-    let (off, without) = (error(&frame.indirect), error(&old.indirect));
+    let (off, without) = (error(&frame.light.indirect), error(&old.light.indirect));
     assert!((0.93..1.03).contains(&ratio), "indirect light of the frame is {ratio:.4} of a bake's");
     assert!(off < 0.3 * without, "off by {off}, by {without} without the frame");
     // Other edits have no frames.
@@ -374,6 +378,6 @@ fn a_single_layer_is_brought_up_to_date_alike_at_any_strength() {
         update(&hidden, &map, &budget(8), None, 3, &Unobserved).expect("nobody cancels")
     };
     let (dim, bright) = (at(1e-3), at(1e3));
-    assert_eq!(dim.layers[0].direct, bright.layers[0].direct);
-    assert_eq!(dim.layers[0].indirect, bright.layers[0].indirect);
+    assert_eq!(dim.layers[0].light.direct, bright.layers[0].light.direct);
+    assert_eq!(dim.layers[0].light.indirect, bright.layers[0].light.indirect);
 }

@@ -37,7 +37,7 @@ fn check(name: &str, before: &World, edit: Edit, near: Vec3, options: &PaperOpti
     let found: Vec<LightMap> =
         (0..6).map(|seed| published(&transition, &baked(before, 48, 50 + seed), options, seed)).collect();
     type Part = (&'static str, fn(&LightMap, usize) -> Vec3);
-    let apart: [Part; 2] = [("direct", |m, i| m.direct[i]), ("indirect", |m, i| m.indirect[i])];
+    let apart: [Part; 2] = [("direct", |m, i| m.light.direct[i]), ("indirect", |m, i| m.light.indirect[i])];
     let together: [Part; 1] = [("all light", |m, i| m.total(i))];
     let parts: &[Part] = if options.equation == Equation::Full { &together } else { &apart };
     for (part, value) in parts {
@@ -162,7 +162,7 @@ fn large_black_objects_in_bright_rooms_make_it_diverge() {
         let (mut sum, mut size) = (0.0, 0.0);
         for (&slot, t) in rows.iter().zip(&truth) {
             let area = f64::from(after.areas()[slot as usize]);
-            sum += area * f64::from((map.indirect[slot as usize] - t.indirect).length_squared());
+            sum += area * f64::from((map.light.indirect[slot as usize] - t.indirect).length_squared());
             size += area * f64::from(t.indirect.length_squared());
         }
         (sum / size).sqrt()

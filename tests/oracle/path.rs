@@ -62,7 +62,7 @@ fn both_strategies_agree_with_light_sampling_alone() {
         let sampled = replicate(8, |seed| {
             let budget = Budget { samples_per_element: 256, target_rmse: None };
             let map = bake(&world, &budget, seed, &Unobserved).expect("nobody cancels");
-            area_mean(&world, inside, |i| map.direct[i].as_dvec3())
+            area_mean(&world, inside, |i| map.light.direct[i].as_dvec3())
         });
         let both = Estimate { mean: direct.mean, error: direct.error.hypot(sampled.error) };
         assert_agrees(&format!("direct light of {name}"), both, sampled.mean, 0.0);

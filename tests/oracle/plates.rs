@@ -34,7 +34,7 @@ fn two_facing_plates() {
         let estimate = replicate(8, |seed| {
             let budget = Budget { samples_per_element: 8, target_rmse: None };
             let map = bake(&world, &budget, seed, &Unobserved).expect("nobody cancels");
-            area_mean(&world, |i| range.contains(&i), |i| map.direct[i].as_dvec3())
+            area_mean(&world, |i| range.contains(&i), |i| map.light.direct[i].as_dvec3())
         });
         let truth = parallel_squares(1.0, f64::from(distance));
         // The mean over the plate is a sum over elements 2 cm apart: an error of the second order of that over the

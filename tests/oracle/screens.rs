@@ -70,7 +70,7 @@ fn direct(world: &World, slots: &[u32], traced: bool, seed: u64) -> Vec<Vec3> {
         return values.into_iter().map(|value| value.direct).collect();
     }
     let map = bake(world, &budget(64), seed, &Unobserved).expect("nobody cancels");
-    slots.iter().map(|slot| map.direct[*slot as usize]).collect()
+    slots.iter().map(|slot| map.light.direct[*slot as usize]).collect()
 }
 
 /// Squares of a picture over a plate, texel by texel: near, where triangles are sampled by solid angle, and far; with both
@@ -253,8 +253,12 @@ fn a_screen_lights_a_room_in_its_colors() {
         };
         let of = |light: &dyn Fn(usize, usize) -> Vec3| replicate(8, |seed| mean(&|k| light(seed as usize, k)));
         let pairs = [
-            (of(&|seed, k| traced[seed][k].direct), of(&|seed, k| baked[seed].direct[slots[k] as usize]), 0.0),
-            (of(&|seed, k| traced[seed][k].indirect), of(&|seed, k| baked[seed].indirect[slots[k] as usize]), 0.015),
+            (of(&|seed, k| traced[seed][k].direct), of(&|seed, k| baked[seed].light.direct[slots[k] as usize]), 0.0),
+            (
+                of(&|seed, k| traced[seed][k].indirect),
+                of(&|seed, k| baked[seed].light.indirect[slots[k] as usize]),
+                0.015,
+            ),
         ];
         for (traced, baked, bias) in pairs {
             let both = Estimate { mean: baked.mean, error: traced.error.hypot(baked.error) };

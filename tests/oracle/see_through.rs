@@ -101,7 +101,7 @@ fn direct_light_is_scaled_by_what_goes_through() {
         let world = lit(vec![floor(), pane], [sun()], 0.1);
         let is_left = |map: &LightMap, world: &World, left: Vec3, what: &str| {
             for slot in slots_of(world, "floor") {
-                let found = map.direct[slot];
+                let found = map.light.direct[slot];
                 assert!((found - left).abs().max_element() < 1e-5, "{name}, {what}: {found} against {left}");
             }
         };
@@ -165,7 +165,7 @@ fn cut_outs_are_exact_to_the_texel() {
             }
             let [x, y] = place(uv);
             let expected = if (x + y) % 2 == 0 { 1.0 } else { 0.0 };
-            assert_eq!(map.direct[slot], Vec3::splat(expected), "{name} at {p}");
+            assert_eq!(map.light.direct[slot], Vec3::splat(expected), "{name} at {p}");
             if expected > 0.0 { holes += 1 } else { shadows += 1 }
         }
         assert!(holes > 50 && shadows > 50, "{name}: {holes} holes and {shadows} shadows");
@@ -182,7 +182,11 @@ fn vertex_alpha_fades() {
     let map = bake(&world, &budget(4), 1, &Unobserved).expect("nobody cancels");
     for slot in slots_of(&world, "floor") {
         let left = 1.0 - 0.8 * (world.positions()[slot].x + 0.5);
-        assert!((map.direct[slot] - left).abs().max_element() < 1e-4, "{} against {left}", map.direct[slot]);
+        assert!(
+            (map.light.direct[slot] - left).abs().max_element() < 1e-4,
+            "{} against {left}",
+            map.light.direct[slot]
+        );
     }
 }
 
@@ -213,7 +217,7 @@ fn a_cut_out_is_the_shape_that_it_shows() {
         let floor = slots_of(world, "floor");
         replicate(8, |seed| {
             let map = bake(world, &budget(128), seed, &Unobserved).expect("nobody cancels");
-            let value = |i: usize| if indirect { map.indirect[i] } else { map.direct[i] };
+            let value = |i: usize| if indirect { map.light.indirect[i] } else { map.light.direct[i] };
             area_mean(world, |i| floor.contains(&i), |i| value(i).as_dvec3())
         })
     };
@@ -276,11 +280,11 @@ fn a_bake_agrees_with_path_tracing() {
         let found =
             |light: &dyn Fn(usize, usize) -> Vec3| replicate(8, |seed| mean(inside, &|k| light(seed as usize, k)));
         let direct = found(&|seed, k| traced[seed][k].direct);
-        let of_bake = found(&|seed, k| baked[seed].direct[slots[k] as usize]);
+        let of_bake = found(&|seed, k| baked[seed].light.direct[slots[k] as usize]);
         let both = Estimate { mean: of_bake.mean, error: direct.error.hypot(of_bake.error) };
         assert_agrees(&format!("direct light, near the screen: {inside}"), both, direct.mean, 0.0);
         let indirect = found(&|seed, k| traced[seed][k].indirect);
-        let of_bake = found(&|seed, k| baked[seed].indirect[slots[k] as usize]);
+        let of_bake = found(&|seed, k| baked[seed].light.indirect[slots[k] as usize]);
         let both = Estimate { mean: of_bake.mean, error: indirect.error.hypot(of_bake.error) };
         assert_agrees(&format!("indirect light, near the screen: {inside}"), both, indirect.mean, 0.01 * indirect.mean);
     }
@@ -336,7 +340,7 @@ fn a_lamp_with_holes_shines_by_half() {
     let baked = |world: &World| {
         mean(world, &|seed| {
             let map = bake(world, &budget(64), seed, &Unobserved).expect("nobody cancels");
-            map.direct[slots_of(world, "floor")].to_vec()
+            map.light.direct[slots_of(world, "floor")].to_vec()
         })
     };
     let slots: Vec<u32> = slots_of(&half, "floor").map(|slot| slot as u32).collect();

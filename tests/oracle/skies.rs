@@ -49,7 +49,7 @@ fn found(world: &World, n: Vec3) -> [Estimate; 2] {
     let faces = |slot: usize| world.normals()[slot].dot(n) > 0.9;
     let baked = replicate(8, |seed| {
         let map = bake(world, &budget(64), seed, &Unobserved).expect("nobody cancels");
-        area_mean(world, faces, |slot| map.direct[slot].as_dvec3())
+        area_mean(world, faces, |slot| map.light.direct[slot].as_dvec3())
     });
     let traced = replicate(8, |seed| {
         let slots: Vec<u32> = (0..world.slots() as u32).filter(|&slot| faces(slot as usize)).collect();
@@ -139,7 +139,8 @@ fn a_disc_casts_a_penumbra() {
         };
         let exact = |slot: usize| DVec3::splat(3.0 / PI * seen(f64::from(world.positions()[slot].x)));
         let truth = area_mean(&world, inside, exact);
-        let found = replicate(8, |seed| area_mean(&world, inside, |slot| maps[seed as usize].direct[slot].as_dvec3()));
+        let found =
+            replicate(8, |seed| area_mean(&world, inside, |slot| maps[seed as usize].light.direct[slot].as_dvec3()));
         if truth < 0.03 {
             assert!(found.mean < 0.05, "{low}: {found:?}");
             continue;
@@ -149,7 +150,7 @@ fn a_disc_casts_a_penumbra() {
     }
     // As a whole it gives what it says.
     let lit: Vec<usize> = (0..world.slots()).filter(|&s| on_floor(s) && world.positions()[s].x > 0.3).collect();
-    assert!(!lit.is_empty() && lit.iter().all(|&slot| (maps[0].direct[slot].x - 3.0 / PI as f32).abs() < 0.02));
+    assert!(!lit.is_empty() && lit.iter().all(|&slot| (maps[0].light.direct[slot].x - 3.0 / PI as f32).abs() < 0.02));
 }
 
 fn yard() -> Vec<Object> {
@@ -167,11 +168,11 @@ fn bake_and_path_tracing_agree_under_a_picture() {
     let baked: Vec<Arc<LightMap>> =
         (0..6).map(|seed| bake(&world, &budget(64), seed, &Unobserved).expect("nobody cancels")).collect();
     let direct = replicate(6, |seed| mean(&|slot| traced[seed as usize][slot].direct));
-    let of_bake = replicate(6, |seed| mean(&|slot| baked[seed as usize].direct[slot]));
+    let of_bake = replicate(6, |seed| mean(&|slot| baked[seed as usize].light.direct[slot]));
     let both = Estimate { mean: direct.mean, error: direct.error.hypot(of_bake.error) };
     assert_agrees("direct light", both, of_bake.mean, 0.0);
     let indirect = replicate(6, |seed| mean(&|slot| traced[seed as usize][slot].indirect));
-    let of_bake = replicate(6, |seed| mean(&|slot| baked[seed as usize].indirect[slot]));
+    let of_bake = replicate(6, |seed| mean(&|slot| baked[seed as usize].light.indirect[slot]));
     let both = Estimate { mean: indirect.mean, error: indirect.error.hypot(of_bake.error) };
     // Light is looked up between elements: design, section 8.
     assert_agrees("indirect light", both, of_bake.mean, 6e-3 * of_bake.mean);

@@ -31,10 +31,10 @@ fn surprises(world: &World, runs: &[Arc<LightMap>], light: impl Fn(&LightMap, us
     let (mut surprises, mut count) = (0.0, 0.0);
     for i in (0..world.slots()).filter(|&i| world.is_valid(i)) {
         let sum: f32 = runs.iter().map(|run| mean(run, i)).sum();
-        let variances: f32 = runs.iter().map(|run| run.variance[i]).sum();
+        let variances: f32 = runs.iter().map(|run| run.light.variance[i]).sum();
         for run in runs {
             let error = mean(run, i) - (sum - mean(run, i)) / others;
-            let variance = run.variance[i] + (variances - run.variance[i]) / (others * others);
+            let variance = run.light.variance[i] + (variances - run.light.variance[i]) / (others * others);
             surprises += f64::from(u8::from(error * error > 9.0 * variance));
             count += 1.0;
         }
@@ -47,7 +47,7 @@ fn full(map: &LightMap, slot: usize) -> Vec3 {
 }
 
 fn indirect(map: &LightMap, slot: usize) -> Vec3 {
-    map.indirect[slot]
+    map.light.indirect[slot]
 }
 
 /// A client of indirect light is told the error of indirect light, by bakes and by updates, as a whole and of each

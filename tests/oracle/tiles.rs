@@ -73,8 +73,11 @@ fn on_screen(p: DVec3) -> DVec2 {
 /// Slots of elements that stay, whose values two maps do not share.
 fn changed(before: &World, after: &World, a: &LightMap, b: &LightMap) -> Vec<usize> {
     let stays = |i: usize| i < before.slots() && before.is_valid(i) && after.is_valid(i) && before.areas()[i] > 0.0;
-    let same =
-        |i: usize| a.direct[i] == b.direct[i] && a.indirect[i] == b.indirect[i] && a.variance[i] == b.variance[i];
+    let same = |i: usize| {
+        a.light.direct[i] == b.light.direct[i]
+            && a.light.indirect[i] == b.light.indirect[i]
+            && a.light.variance[i] == b.light.variance[i]
+    };
     (0..a.len()).filter(|&i| stays(i) && !same(i)).collect()
 }
 
@@ -224,7 +227,7 @@ fn maps_with_layers_go_tile_by_tile_too() {
         last.layers
             .iter()
             .zip(&carried.layers)
-            .any(|(a, b)| a.direct[i] != b.direct[i] || a.indirect[i] != b.indirect[i])
+            .any(|(a, b)| a.light.direct[i] != b.light.direct[i] || a.light.indirect[i] != b.light.indirect[i])
     };
     assert_eq!(far.filter(|&i| layers_differ(i)).count(), 0);
 }

@@ -16,7 +16,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::job::{Canceled, Observer};
-use crate::lightmap::{Layer, LightMap};
+use crate::lightmap::{Layer, LightMap, LightValues};
 use crate::world::World;
 use weights::Weights;
 
@@ -44,32 +44,30 @@ pub fn filter(
     observer: &dyn Observer,
 ) -> Result<LightMap, Canceled> {
     assert_eq!(map.len(), world.slots(), "one value per slot");
-    let stated = |slot: usize| world.stated().of(map.direct[slot], map.indirect[slot]);
+    let stated = |slot: usize| world.stated().of(map.light.direct[slot], map.light.indirect[slot]);
     let light: Vec<Vec3> = (0..map.len()).into_par_iter().with_min_len(CHUNK).map(stated).collect();
     let own = |(slot, v): (usize, &f32)| if v.is_finite() && is_known(slot) { v.max(0.0) } else { 0.0 };
-    let own: Vec<f32> = map.variance.par_iter().enumerate().with_min_len(CHUNK).map(own).collect();
+    let own: Vec<f32> = map.light.variance.par_iter().enumerate().with_min_len(CHUNK).map(own).collect();
     let weights = Weights::new(world, &light, &own, observer)?;
     let average = |values: &[Vec3]| {
         let mut averaged = weights.average(values);
         world.validity.fill(&mut averaged);
         averaged
     };
-    let errors = |direct: &[Vec3], indirect: &[Vec3], variance: &[f32]| {
-        let light = |slot: usize| world.stated().of(direct[slot], indirect[slot]);
-        let mut errors = weights.squared_errors(light, variance);
-        world.validity.fill_scalars(&mut errors, 1);
-        errors
+    let filtered = |light: &LightValues| {
+        let (direct, indirect) = (average(&light.direct), average(&light.indirect));
+        let stated = |slot: usize| world.stated().of(direct[slot], indirect[slot]);
+        let mut variance = weights.squared_errors(stated, &light.variance);
+        world.validity.fill_scalars(&mut variance, 1);
+        LightValues { direct, indirect, variance }
     };
     let layer = |layer: &Arc<Layer>| {
         if observer.canceled() {
             return Err(Canceled);
         }
-        let (direct, indirect) = (average(&layer.direct), average(&layer.indirect));
-        let variance = errors(&direct, &indirect, &layer.variance);
-        Ok(Arc::new(Layer { direct, indirect, variance, name: layer.name.clone(), lights: layer.lights.clone() }))
+        let (name, lights) = (layer.name.clone(), layer.lights.clone());
+        Ok(Arc::new(Layer { name, lights, light: filtered(&layer.light) }))
     };
     let layers = map.layers.iter().map(layer).collect::<Result<_, _>>()?;
-    let (direct, indirect) = (average(&map.direct), average(&map.indirect));
-    let variance = errors(&direct, &indirect, &map.variance);
-    Ok(LightMap { direct, indirect, variance, layers })
+    Ok(LightMap { light: filtered(&map.light), layers })
 }

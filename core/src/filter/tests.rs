@@ -34,7 +34,7 @@ fn with_noise(world: &World, seed: u64, light: impl Fn(Vec3) -> f32) -> Vec<Vec3
 /// A map of that light whose elements all state the variance of the noise.
 fn map_of(light: &[Vec3]) -> LightMap {
     let variance = vec![NOISE * NOISE; light.len()];
-    LightMap { direct: vec![Vec3::ZERO; light.len()], indirect: light.to_vec(), variance, layers: Vec::new() }
+    LightValues { direct: vec![Vec3::ZERO; light.len()], indirect: light.to_vec(), variance }.into()
 }
 
 fn filtered(world: &World, map: &LightMap) -> LightMap {
@@ -59,9 +59,9 @@ fn noise_falls_to_what_is_stated_and_the_mean_stays() {
         .map(|seed| {
             let noisy = with_noise(&world, seed, light);
             let filtered = filtered(&world, &map_of(&noisy));
-            assert!((mean(&world, &filtered.indirect) - mean(&world, &noisy)).abs() < 1e-6);
-            let stated = rms(&world, |_| true, |slot| f64::from(filtered.variance[slot]));
-            let of = |slot: usize| f64::from(filtered.indirect[slot].x - light(world.positions()[slot])).powi(2);
+            assert!((mean(&world, &filtered.light.indirect) - mean(&world, &noisy)).abs() < 1e-6);
+            let stated = rms(&world, |_| true, |slot| f64::from(filtered.light.variance[slot]));
+            let of = |slot: usize| f64::from(filtered.light.indirect[slot].x - light(world.positions()[slot])).powi(2);
             let found = rms(&world, |_| true, of);
             assert!(found < 0.4 * f64::from(NOISE), "{found}");
             (found / stated).powi(2)
@@ -79,7 +79,7 @@ fn noise_falls_to_what_is_stated_and_the_mean_stays() {
 fn tiles_of_one_floor_are_one_surface_and_a_wall_is_another() {
     let world = tiled();
     let noisy = with_noise(&world, 3, |p| if p.y > 0.0 { 1.2 } else { 1.0 });
-    let filtered = filtered(&world, &map_of(&noisy)).indirect;
+    let filtered = filtered(&world, &map_of(&noisy)).light.indirect;
     let error = |slot: usize| f64::from(filtered[slot].x - 1.0).powi(2);
     let on_floor = |p: Vec3| p.y == 0.0 && p.z > 0.1 && p.z < 1.9 && p.x > 0.1 && p.x < 1.9;
     let beside = rms(&world, |p| on_floor(p) && (p.x - 1.0).abs() < SPACING, error);
@@ -96,7 +96,7 @@ fn an_edge_of_light_stays() {
     let world = tiled();
     let light = |p: Vec3| if p.x < 0.6 { 1.0 } else { 2.5 };
     let noisy = with_noise(&world, 4, light);
-    let filtered = filtered(&world, &map_of(&noisy)).indirect;
+    let filtered = filtered(&world, &map_of(&noisy)).light.indirect;
     let error = |slot: usize| f64::from(filtered[slot].x - light(world.positions()[slot])).powi(2);
     let beside = rms(&world, |p| (p.x - 0.6).abs() < SPACING, error);
     assert!(beside < 0.8 * f64::from(NOISE), "{beside}: averaged with what is ten deviations away");
@@ -108,9 +108,10 @@ fn what_is_exact_or_unknown_neither_gives_nor_takes() {
     let noisy = with_noise(&world, 5, |_| 1.0);
     let variance: Vec<f32> = world.positions().iter().map(|p| if p.x < 1.0 { 0.0 } else { NOISE * NOISE }).collect();
     let is_known = |slot: usize| world.positions()[slot].x < 1.5;
-    let map = LightMap { variance, ..map_of(&noisy) };
-    let LightMap { indirect: filtered, variance: errors, .. } =
-        filter(&world, &map, is_known, &Unobserved).expect("nobody cancels");
+    let mut map = map_of(&noisy);
+    map.light.variance = variance;
+    let found = filter(&world, &map, is_known, &Unobserved).expect("nobody cancels");
+    let LightValues { indirect: filtered, variance: errors, .. } = found.light;
     for (slot, p) in world.positions().iter().enumerate() {
         match p.x {
             x if x < 1.0 => assert_eq!((filtered[slot], errors[slot]), (noisy[slot], 0.0)),
@@ -130,15 +131,17 @@ fn parts_and_layers_add_up_and_threads_do_not_matter() {
     let layer = |name: &str, direct: &[Vec3], indirect: &[Vec3]| {
         let variance = vec![NOISE * NOISE; direct.len()];
         let (direct, indirect) = (direct.to_vec(), indirect.to_vec());
-        Arc::new(Layer { name: name.to_owned(), lights: Vec::new(), direct, indirect, variance })
+        let light = LightValues { direct, indirect, variance };
+        Arc::new(Layer { name: name.to_owned(), lights: Vec::new(), light })
     };
     let none = vec![Vec3::ZERO; direct.len()];
     let layers = vec![layer("a", &direct, &none), layer("b", &none, &indirect)];
-    let map = LightMap { direct, indirect, layers, ..map_of(&noisy) };
+    let variance = vec![NOISE * NOISE; direct.len()];
+    let map = LightMap { light: LightValues { direct, indirect, variance }, layers };
     let whole = filtered(&world, &map);
     let alone = filtered(&world, &map_of(&noisy));
     for slot in 0..world.slots() {
-        let sum: Vec3 = whole.layers.iter().map(|layer| layer.direct[slot] + layer.indirect[slot]).sum();
+        let sum: Vec3 = whole.layers.iter().map(|layer| layer.light.direct[slot] + layer.light.indirect[slot]).sum();
         assert!((sum - whole.total(slot)).abs().max_element() < 1e-5);
         assert!((alone.total(slot) - whole.total(slot)).abs().max_element() < 1e-5);
     }

@@ -8,25 +8,17 @@ use rayon::prelude::*;
 
 use super::{Header, Layer, Stack, whole, whole_with};
 use crate::accumulate::Accumulator;
-use crate::lightmap::LightMap;
+use crate::lightmap::{LightMap, LightValues};
 use crate::value::Value;
 use crate::world::{Transition, Validity};
 
 /// Slots per task: all layers of theirs fit in the cache.
 const CHUNK: usize = 256;
 
-/// A map or a layer of one.
-#[derive(Clone, Copy)]
-struct Part<'a> {
-    direct: &'a [Vec3],
-    indirect: &'a [Vec3],
-    variance: &'a [f32],
-}
-
 /// Light that is there before an edit, layer by layer.
 pub(crate) struct Old<'a> {
     /// In the slots of the world before it.
-    parts: Vec<Part<'a>>,
+    parts: Vec<&'a LightValues>,
     /// Of the weighted sum of all.
     variance: &'a [f32],
     /// Per slot of the world after it: whether its old value stays.
@@ -34,17 +26,9 @@ pub(crate) struct Old<'a> {
 }
 
 impl<'a> Old<'a> {
-    /// All light of a map together.
-    pub(crate) fn of_map(map: &'a LightMap, transition: &Transition) -> Old<'a> {
-        let part = Part { direct: &map.direct, indirect: &map.indirect, variance: &map.variance };
-        Old { parts: vec![part], variance: &map.variance, keeps: kept(transition) }
-    }
-
     /// Layers whose weighted sum has `variance`; for a single one its own is taken.
-    pub(crate) fn of_layers(layers: &'a [Arc<Layer>], variance: &'a [f32], transition: &Transition) -> Old<'a> {
-        let part = |l: &'a Arc<Layer>| Part { direct: &l.direct, indirect: &l.indirect, variance: &l.variance };
-        let parts: Vec<Part> = layers.iter().map(part).collect();
-        let variance = if let [part] = *parts { part.variance } else { variance };
+    pub(crate) fn new(parts: Vec<&'a LightValues>, variance: &'a [f32], transition: &Transition) -> Old<'a> {
+        let variance = if let [part] = *parts { &part.variance } else { variance };
         Old { parts, variance, keeps: kept(transition) }
     }
 
@@ -56,7 +40,7 @@ impl<'a> Old<'a> {
 
     /// Direct and indirect light, side by side, in the slots of the world before the edit.
     pub(crate) fn total<V: Value>(&self) -> Vec<V> {
-        let slots = self.parts.first().map_or(0, |part| part.direct.len());
+        let slots = self.parts.first().map_or(0, |part| part.len());
         let total = |slot| self.side_by_side(|part| part.direct[slot] + part.indirect[slot]);
         (0..slots).into_par_iter().with_min_len(CHUNK).map(total).collect()
     }
@@ -65,15 +49,17 @@ impl<'a> Old<'a> {
     /// after it: zero where no value stays.
     pub(crate) fn stack<V: Value>(&self) -> Stack<V> {
         let slots = || self.keeps.par_iter().enumerate().with_min_len(CHUNK);
-        let light = |of: for<'p> fn(&Part<'p>) -> &'p [Vec3]| -> Vec<V> {
+        let light = |of: fn(&LightValues) -> &[Vec3]| -> Vec<V> {
             let value = |slot: usize| self.side_by_side(|part| of(part)[slot]);
             slots().map(|(slot, keeps)| if *keeps { value(slot) } else { V::default() }).collect()
         };
         let layers = if self.parts.len() > 1 { &*self.parts } else { &[] };
         Stack {
-            direct: light(|part| part.direct),
-            indirect: light(|part| part.indirect),
-            variance: slots().map(|(slot, keeps)| if *keeps { self.variance[slot] } else { 0.0 }).collect(),
+            light: LightValues {
+                direct: light(|part| &part.direct),
+                indirect: light(|part| &part.indirect),
+                variance: slots().map(|(slot, keeps)| if *keeps { self.variance[slot] } else { 0.0 }).collect(),
+            },
             layer_variance: (self.keeps.iter().enumerate())
                 .flat_map(|(slot, keeps)| layers.iter().map(move |l| if *keeps { l.variance[slot] } else { 0.0 }))
                 .collect(),
@@ -81,7 +67,7 @@ impl<'a> Old<'a> {
     }
 
     #[inline]
-    fn side_by_side<V: Value>(&self, of: impl Fn(&Part) -> Vec3) -> V {
+    fn side_by_side<V: Value>(&self, of: impl Fn(&LightValues) -> Vec3) -> V {
         let mut value = V::default();
         self.parts.iter().zip(0..).for_each(|(part, k)| value.add_to_layer(k, of(part)));
         value
@@ -105,8 +91,7 @@ fn kept(transition: &Transition) -> Vec<bool> {
 
 /// Layers that were computed along the same rays.
 pub(crate) struct Apart {
-    /// Without names.
-    layers: Vec<Layer>,
+    layers: Vec<LightValues>,
     /// Variance of their weighted sum. None for a single one, which is computed at its own scale.
     variance: Option<Vec<f32>>,
 }
@@ -116,17 +101,17 @@ impl Apart {
     /// their neighbours' values.
     pub(crate) fn of_mean<V: Value>(sum: &Accumulator<V>, old: Option<&Old>, validity: &Validity) -> Apart {
         let (mean, scatter) = (sum.mean(), sum.scatter());
-        let (layers, slots) = (sum.layers(), mean.direct.len());
-        let light = |values: &[V], of: for<'p> fn(&Part<'p>) -> &'p [Vec3]| {
+        let (layers, slots) = (sum.layers(), mean.len());
+        let light = |values: &[V], of: fn(&LightValues) -> &[Vec3]| {
             apart(layers, slots, |k, first, out: &mut [Vec3]| {
                 out.iter_mut().zip(&values[first..]).for_each(|(out, value)| *out = value.layer(k));
-                old.iter().for_each(|old| old.add(of(&old.parts[k]), first, out));
+                old.iter().for_each(|old| old.add(of(old.parts[k]), first, out));
             })
         };
-        let (direct, indirect) = (light(&mean.direct, |p| p.direct), light(&mean.indirect, |p| p.indirect));
+        let (direct, indirect) = (light(&mean.direct, |p| &p.direct), light(&mean.indirect, |p| &p.indirect));
         let variance = apart(layers, slots, |k, first, out: &mut [f32]| {
             out.iter_mut().zip(first..).for_each(|(out, slot)| *out = scatter.of_layer(k, slot));
-            old.iter().for_each(|old| old.add(old.parts[k].variance, first, out));
+            old.iter().for_each(|old| old.add(&old.parts[k].variance, first, out));
         });
         let whole = apart(usize::from(layers > 1), slots, |_, first, out: &mut [f32]| {
             out.iter_mut().zip(first..).for_each(|(out, slot)| *out = scatter.of_whole(slot));
@@ -139,47 +124,42 @@ impl Apart {
 
     /// What lies side by side, of so many layers.
     pub(crate) fn of_stack<V: Value>(stack: &Stack<V>, layers: usize) -> Apart {
-        let slots = stack.direct.len();
+        let slots = stack.light.len();
         let light = |values: &[V]| {
             apart(layers, slots, |k, first, out: &mut [Vec3]| {
                 out.iter_mut().zip(&values[first..]).for_each(|(out, value)| *out = value.layer(k));
             })
         };
         let variance = apart(layers, slots, |k, first, out: &mut [f32]| match layers {
-            1 => out.copy_from_slice(&stack.variance[first..][..out.len()]),
+            1 => out.copy_from_slice(&stack.light.variance[first..][..out.len()]),
             _ => out.iter_mut().zip(first..).for_each(|(out, slot)| *out = stack.layer_variance[slot * layers + k]),
         });
-        let whole = (layers > 1).then(|| stack.variance.clone()).into_iter().collect();
-        Apart::new(light(&stack.direct), light(&stack.indirect), variance, whole)
+        let whole = (layers > 1).then(|| stack.light.variance.clone()).into_iter().collect();
+        Apart::new(light(&stack.light.direct), light(&stack.light.indirect), variance, whole)
     }
 
     fn new(direct: Vec<Vec<Vec3>>, indirect: Vec<Vec<Vec3>>, variance: Vec<Vec<f32>>, whole: Vec<Vec<f32>>) -> Apart {
         let parts = direct.into_iter().zip(indirect).zip(variance);
-        let layer = |((direct, indirect), variance)| Layer { direct, indirect, variance, ..Layer::default() };
+        let layer = |((direct, indirect), variance)| LightValues { direct, indirect, variance };
         Apart { layers: parts.map(layer).collect(), variance: whole.into_iter().next() }
     }
 
     fn fill(&mut self, validity: &Validity) {
-        self.layers.par_iter_mut().for_each(|layer| {
-            validity.fill(&mut layer.direct);
-            validity.fill(&mut layer.indirect);
-            validity.fill_scalars(&mut layer.variance, 1);
-        });
+        self.layers.par_iter_mut().for_each(|layer| validity.fill_light(layer));
         self.variance.iter_mut().for_each(|variance| validity.fill_scalars(variance, 1));
     }
 
     /// The layers, with their headers.
     pub(crate) fn named(self, headers: &[Header]) -> Computed {
-        let named = |(layer, header): (Layer, &Header)| {
-            Arc::new(Layer { name: header.name.clone(), lights: header.lights.clone(), ..layer })
+        let named = |(light, header): (LightValues, &Header)| {
+            Arc::new(Layer { name: header.name.clone(), lights: header.lights.clone(), light })
         };
         Computed { layers: self.layers.into_iter().zip(headers).map(named).collect(), variance: self.variance }
     }
 
     /// A single layer as a map without any.
     pub(crate) fn into_map(self) -> LightMap {
-        let Layer { direct, indirect, variance, .. } = self.layers.into_iter().next().unwrap_or_default();
-        LightMap { direct, indirect, variance, layers: Vec::new() }
+        self.layers.into_iter().next().unwrap_or_default().into()
     }
 }
 
@@ -224,7 +204,6 @@ mod tests {
 
     use super::*;
     use crate::edit::Edit;
-    use crate::estimate::Estimate;
     use crate::random::Pcg32;
     use crate::scene::{Material, Mesh, Object, Scene};
     use crate::value::Layered;
@@ -265,14 +244,14 @@ mod tests {
                 };
                 (0..after).map(value).collect::<Vec<V>>()
             };
-            sum.add(samples, &mut Estimate { direct: of(0), indirect: of(1) });
+            sum.add(samples, &mut LightValues { direct: of(0), indirect: of(1), variance: Vec::new() });
         }
         let layer = |k: usize| {
             let variance = light(before).iter().map(|light| light.x + k as f32).collect();
-            Arc::new(Layer { direct: light(before), indirect: light(before), variance, ..Layer::default() })
+            LightValues { direct: light(before), indirect: light(before), variance }
         };
-        let old: Vec<Arc<Layer>> = (0..layers).map(layer).collect();
-        let old = Old::of_layers(&old, &old[0].variance, &transition);
+        let old: Vec<LightValues> = (0..layers).map(layer).collect();
+        let old = Old::new(old.iter().collect(), &old[0].variance, &transition);
         let validity = &transition.after.validity;
         let at_once = Apart::of_mean(&sum, Some(&old), validity);
         let stack = Stack::of_mean(&sum, Some(&old.stack()), validity);

@@ -22,7 +22,7 @@ use crate::scene::Scene;
 use crate::transport::black;
 use crate::world::{Emitters, World};
 
-pub use crate::lightmap::{Layer, LayerLight, MAX_GROUPS, MAX_LAYERS};
+pub use crate::lightmap::{Layer, LayerLight, LightValues, MAX_GROUPS, MAX_LAYERS};
 pub(crate) use apart::{Apart, Computed, Old};
 pub(crate) use plan::{Header, Plan, groups_of, headers_of_layers, moved_layers, wants_layers};
 pub(crate) use regroup::{Pieces, renamed};
@@ -78,36 +78,37 @@ impl LightMap {
     /// Bytes of values, those of layers included.
     pub fn memory_bytes(&self) -> usize {
         const SLOT: usize = 2 * size_of::<Vec3>() + size_of::<f32>();
-        self.len() * SLOT + self.layers.iter().map(|layer| layer.direct.len() * SLOT).sum::<usize>()
+        self.len() * SLOT + self.layers.iter().map(|layer| layer.light.len() * SLOT).sum::<usize>()
     }
 }
 
 /// The map that layers make with their weights. The stated variance takes `correlation` between layers as it is.
 pub(crate) fn whole(layers: Vec<Arc<Layer>>, weights: &[Vec3], correlation: f64) -> LightMap {
-    let variance = variance_of(&layers, weights, correlation);
+    let parts: Vec<&LightValues> = layers.iter().map(|layer| &layer.light).collect();
+    let variance = variance_of(&parts, weights, correlation);
     whole_with(layers, weights, variance)
 }
 
 /// The map that layers make with their weights, whose variance (mean over RGB, per slot) is known.
 pub(crate) fn whole_with(layers: Vec<Arc<Layer>>, weights: &[Vec3], variance: Vec<f32>) -> LightMap {
-    let len = layers.first().map_or(0, |layer| layer.direct.len());
-    let sum = |part: fn(&Layer) -> &[Vec3]| -> Vec<Vec3> {
+    let len = layers.first().map_or(0, |layer| layer.light.len());
+    let sum = |part: fn(&LightValues) -> &[Vec3]| -> Vec<Vec3> {
         let mut out: Vec<Vec3> = black(len);
         out.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, out)| {
             for (layer, weight) in layers.iter().zip(weights) {
-                let values = &part(layer)[chunk * CHUNK..][..out.len()];
+                let values = &part(&layer.light)[chunk * CHUNK..][..out.len()];
                 out.iter_mut().zip(values).for_each(|(o, v)| *o += *v * *weight);
             }
         });
         out
     };
     let (direct, indirect) = (sum(|l| &l.direct), sum(|l| &l.indirect));
-    LightMap { direct, indirect, variance, layers }
+    LightMap { light: LightValues { direct, indirect, variance }, layers }
 }
 
 /// Variance of the weighted sum of layers, per slot.
-fn variance_of(layers: &[Arc<Layer>], weights: &[Vec3], correlation: f64) -> Vec<f32> {
-    let len = layers.first().map_or(0, |layer| layer.direct.len());
+fn variance_of(layers: &[&LightValues], weights: &[Vec3], correlation: f64) -> Vec<f32> {
+    let len = layers.first().map_or(0, |layer| layer.len());
     let correlation = correlation as f32;
     let factors: Vec<f32> = weights.iter().map(|w| w.length_squared() / 3.0).collect();
     let mut variance = vec![0.0f32; len];
@@ -155,11 +156,11 @@ pub(crate) fn correlation(map: &LightMap, weights: &[Vec3]) -> f64 {
     for slot in (0..map.len()).step_by(step) {
         let (mut sum, mut root) = (0.0, 0.0);
         for (layer, factor) in map.layers.iter().zip(&factors) {
-            let variance = layer.variance[slot] * factor;
+            let variance = layer.light.variance[slot] * factor;
             sum += variance;
             root += variance.sqrt();
         }
-        measured += f64::from(map.variance[slot]);
+        measured += f64::from(map.light.variance[slot]);
         independent += f64::from(sum);
         equal += f64::from(root * root);
     }

@@ -6,7 +6,7 @@ use glam::Vec3;
 
 use super::plan::{Header, Piece, Plan, Planned};
 use super::{Layer, variance_of};
-use crate::lightmap::LightMap;
+use crate::lightmap::{LightMap, LightValues};
 
 /// What the layers of a plan are put together from.
 #[derive(Clone, Copy)]
@@ -33,25 +33,21 @@ impl Pieces<'_> {
             return layer.clone();
         }
         let Header { name, lights } = planned.header.clone();
-        let mut sum = Layer { name, lights, ..Layer::black(self.map.len()) };
+        let (old, mut light) = (self.map.parts(), LightValues::black(self.map.len()));
         for &(piece, factor) in &planned.pieces {
-            let layer = match piece {
-                Piece::Old(index) => self.map.layers.get(index),
-                Piece::Leaving(index) => self.leaving.get(index),
-            };
-            match layer {
-                Some(layer) => sum.add(&layer.direct, &layer.indirect, &layer.variance, factor),
-                // A map without layers is one of all lights.
-                None => sum.add(&self.map.direct, &self.map.indirect, &self.map.variance, factor),
+            match piece {
+                Piece::Old(index) => light.add_scaled(old[index], factor),
+                Piece::Leaving(index) => light.add_scaled(&self.leaving[index].light, factor),
             }
         }
-        Arc::new(sum)
+        Arc::new(Layer { name, lights, light })
     }
 
     /// Variance of the new map, whose layers have these weights: light that leaves one layer for another is in both,
     /// with opposite signs, so that only what it weighs in all counts.
     pub(crate) fn variance(&self, weights: &[Vec3], correlation: f64) -> Vec<f32> {
-        let mut old = vec![Vec3::ZERO; self.map.layers.len().max(1)];
+        let parts = self.map.parts();
+        let mut old = vec![Vec3::ZERO; parts.len()];
         let mut new = vec![Vec3::ZERO; self.leaving.len()];
         for ((_, origin), weight) in self.plan.after.iter().zip(weights) {
             let pieces = origin.map_or(&[][..], |index| &self.plan.regrouped[index].pieces);
@@ -63,29 +59,21 @@ impl Pieces<'_> {
             }
         }
         let square = |v: &Vec3| v.length_squared() / 3.0;
-        let mut variance = match self.map.layers.is_empty() {
-            true => self.map.variance.iter().map(|v| v * square(&old[0])).collect(),
-            false => variance_of(&self.map.layers, &old, correlation),
-        };
+        let mut variance = variance_of(&parts, &old, correlation);
         for (layer, factor) in self.leaving.iter().zip(new.iter().map(square)) {
-            variance.iter_mut().zip(&layer.variance).for_each(|(sum, v)| *sum += v * factor);
+            variance.iter_mut().zip(&layer.light.variance).for_each(|(sum, v)| *sum += v * factor);
         }
         variance
     }
 }
 
-impl Layer {
-    /// No light in `len` slots.
-    pub(crate) fn black(len: usize) -> Layer {
-        let (direct, indirect) = (vec![Vec3::ZERO; len], vec![Vec3::ZERO; len]);
-        Layer { direct, indirect, variance: vec![0.0; len], ..Layer::default() }
-    }
-
-    fn add(&mut self, direct: &[Vec3], indirect: &[Vec3], variance: &[f32], factor: Vec3) {
+impl LightValues {
+    /// Adds `factor` times independent light.
+    fn add_scaled(&mut self, light: &LightValues, factor: Vec3) {
         let square = factor.length_squared() / 3.0;
-        self.direct.iter_mut().zip(direct).for_each(|(s, v)| *s += *v * factor);
-        self.indirect.iter_mut().zip(indirect).for_each(|(s, v)| *s += *v * factor);
-        self.variance.iter_mut().zip(variance).for_each(|(s, v)| *s += *v * square);
+        self.direct.iter_mut().zip(&light.direct).for_each(|(s, v)| *s += *v * factor);
+        self.indirect.iter_mut().zip(&light.indirect).for_each(|(s, v)| *s += *v * factor);
+        self.variance.iter_mut().zip(&light.variance).for_each(|(s, v)| *s += *v * square);
     }
 }
 
@@ -94,5 +82,5 @@ pub(crate) fn renamed(layer: &Arc<Layer>, header: &Header) -> Arc<Layer> {
     if layer.name == header.name && layer.lights == header.lights {
         return layer.clone();
     }
-    Arc::new(Layer { name: header.name.clone(), lights: header.lights.clone(), ..Layer::clone(layer) })
+    Arc::new(Layer { name: header.name.clone(), lights: header.lights.clone(), light: layer.light.clone() })
 }

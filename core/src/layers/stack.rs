@@ -6,6 +6,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::accumulate::Accumulator;
+use crate::lightmap::LightValues;
 use crate::value::Value;
 use crate::world::Validity;
 
@@ -20,25 +21,18 @@ pub(crate) fn weights_within(weights: &[Vec3]) -> &[Vec3] {
 /// Light of some layers per slot.
 #[derive(Clone, Debug)]
 pub(crate) struct Stack<V> {
-    /// Straight from lights.
-    pub direct: Vec<V>,
-    /// After at least one bounce.
-    pub indirect: Vec<V>,
-    /// Variance of the weighted sum of all layers, mean over RGB.
-    pub variance: Vec<f32>,
+    /// The variance is that of the weighted sum of all layers.
+    pub light: LightValues<V>,
     /// Variance of every layer, those of a slot side by side; empty for one layer.
     pub layer_variance: Vec<f32>,
 }
 
 impl<V: Value> Stack<V> {
-    /// No light of `layers` layers.
-    pub(crate) fn black(len: usize, layers: usize) -> Stack<V> {
-        Stack {
-            direct: vec![V::default(); len],
-            indirect: vec![V::default(); len],
-            variance: vec![0.0; len],
-            layer_variance: vec![0.0; if layers > 1 { len * layers } else { 0 }],
-        }
+    /// Light of `layers` layers whose error is not known.
+    pub(crate) fn without_error(direct: Vec<V>, indirect: Vec<V>, layers: usize) -> Stack<V> {
+        let len = direct.len();
+        let layer_variance = vec![0.0; if layers > 1 { len * layers } else { 0 }];
+        Stack { light: LightValues { direct, indirect, variance: vec![0.0; len] }, layer_variance }
     }
 
     /// The mean of all rounds, with its variance, added to other, independent light. Invalid elements take their
@@ -54,13 +48,16 @@ impl<V: Value> Stack<V> {
             }
         }
         let (mean, scatter, layers) = (sum.mean(), sum.scatter(), sum.layers());
-        let slots = mean.direct.len();
+        let slots = mean.len();
         let of_layers = if layers > 1 { slots * layers } else { 0 };
         let of_layer = (0..of_layers).into_par_iter().map(|k| scatter.of_layer(k % layers, k / layers));
+        let of_whole = (0..slots).into_par_iter().map(|slot| scatter.of_whole(slot));
         let mut stack = Stack {
-            direct: total(mean.direct.par_iter().copied(), to.map(|to| &*to.direct)),
-            indirect: total(mean.indirect.par_iter().copied(), to.map(|to| &*to.indirect)),
-            variance: total((0..slots).into_par_iter().map(|s| scatter.of_whole(s)), to.map(|to| &*to.variance)),
+            light: LightValues {
+                direct: total(mean.direct.par_iter().copied(), to.map(|to| &*to.light.direct)),
+                indirect: total(mean.indirect.par_iter().copied(), to.map(|to| &*to.light.indirect)),
+                variance: total(of_whole, to.map(|to| &*to.light.variance)),
+            },
             layer_variance: total(of_layer, to.map(|to| &*to.layer_variance)),
         };
         stack.fill_invalid(validity);
@@ -81,10 +78,11 @@ impl<V: Value> Stack<V> {
                 old + weight * weight * (b - old) + (1.0 - weight) * (1.0 - weight) * (a - old)
             };
             let mix = |a: V, b: V| a + (b - a) * weight;
-            self.direct[slot] = mix(self.direct[slot], other.direct[slot]);
-            self.indirect[slot] = mix(self.indirect[slot], other.indirect[slot]);
-            let old = shared.map_or(0.0, |s| s.variance[slot]);
-            self.variance[slot] = part(old, self.variance[slot], other.variance[slot]);
+            let (light, theirs) = (&mut self.light, &other.light);
+            light.direct[slot] = mix(light.direct[slot], theirs.direct[slot]);
+            light.indirect[slot] = mix(light.indirect[slot], theirs.indirect[slot]);
+            let old = shared.map_or(0.0, |s| s.light.variance[slot]);
+            light.variance[slot] = part(old, light.variance[slot], theirs.variance[slot]);
             for k in slot * layers..(slot + 1) * layers {
                 let old = shared.map_or(0.0, |s| s.layer_variance[k]);
                 self.layer_variance[k] = part(old, self.layer_variance[k], other.layer_variance[k]);
@@ -96,23 +94,21 @@ impl<V: Value> Stack<V> {
     pub(crate) fn take(&mut self, other: &Stack<V>, slots: impl Iterator<Item = u32>) {
         let layers = self.layers_of_variance();
         for slot in slots.map(|slot| slot as usize) {
-            self.direct[slot] = other.direct[slot];
-            self.indirect[slot] = other.indirect[slot];
-            self.variance[slot] = other.variance[slot];
+            self.light.direct[slot] = other.light.direct[slot];
+            self.light.indirect[slot] = other.light.indirect[slot];
+            self.light.variance[slot] = other.light.variance[slot];
             let its_layers = slot * layers..(slot + 1) * layers;
             self.layer_variance[its_layers.clone()].copy_from_slice(&other.layer_variance[its_layers]);
         }
     }
 
     fn layers_of_variance(&self) -> usize {
-        self.layer_variance.len().checked_div(self.direct.len()).unwrap_or(0)
+        self.layer_variance.len().checked_div(self.light.len()).unwrap_or(0)
     }
 
     /// Invalid elements take their neighbours' values.
     pub(crate) fn fill_invalid(&mut self, validity: &Validity) {
-        validity.fill(&mut self.direct);
-        validity.fill(&mut self.indirect);
-        validity.fill_scalars(&mut self.variance, 1);
+        validity.fill_light(&mut self.light);
         let layers = self.layers_of_variance();
         validity.fill_scalars(&mut self.layer_variance, layers);
     }

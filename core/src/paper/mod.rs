@@ -17,7 +17,7 @@ mod steps;
 use glam::Vec3;
 
 use crate::job::{Canceled, Observer};
-use crate::lightmap::LightMap;
+use crate::lightmap::{LightMap, LightValues};
 use crate::random::subseed;
 use crate::transport::Work;
 use crate::world::{Transition, World};
@@ -115,7 +115,7 @@ impl State {
             values.resize(len, Vec3::ZERO);
             values
         };
-        State { direct: resized(&map.direct), indirect: resized(&map.indirect) }
+        State { direct: resized(&map.light.direct), indirect: resized(&map.light.indirect) }
     }
 
     /// Elements of the scene inside the object: they are dark, where the map has copied values.
@@ -133,9 +133,8 @@ impl State {
         for slot in (0..len).filter(|&slot| after.areas()[slot] <= 0.0) {
             (self.direct[slot], self.indirect[slot]) = (Vec3::ZERO, Vec3::ZERO);
         }
-        let mut map = LightMap { direct: self.direct, indirect: self.indirect, ..LightMap::black(len) };
-        after.validity.fill(&mut map.direct);
-        after.validity.fill(&mut map.indirect);
-        map
+        let mut light = LightValues { direct: self.direct, indirect: self.indirect, variance: vec![0.0; len] };
+        after.validity.fill_light(&mut light);
+        light.into()
     }
 }

@@ -60,7 +60,7 @@ pub fn change_of(
 
 /// Per slot: the stated standard error of direct + indirect light, mean over RGB.
 pub fn stated_errors(map: &LightMap) -> Vec<f32> {
-    map.variance.iter().map(|v| v.max(0.0).sqrt()).collect()
+    map.light.variance.iter().map(|v| v.max(0.0).sqrt()).collect()
 }
 
 /// Renders one number per slot on the current rayon pool.

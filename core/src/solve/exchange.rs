@@ -13,9 +13,8 @@ use rayon::prelude::*;
 use super::rows::{NONE, offsets};
 use super::{Rows, Subset, gmres};
 use crate::job::Canceled;
-use crate::random::{Pcg32, R2, subseed};
-use crate::sampling::cosine_hemisphere;
-use crate::transport::{End, Radiance, Source, Work};
+use crate::random::{Pcg32, subseed};
+use crate::transport::{End, Radiance, Source, Work, gather_paths};
 use crate::value::Value;
 use crate::world::World;
 
@@ -179,30 +178,17 @@ fn trace_row<V: Value>(
     let members = rows.members_of(row);
     let mut rng = Pcg32::new(seed, u64::from(subset.slots[members[0] as usize]));
     let turn = if members.len() > 1 { (rng.next_f32() * members.len() as f32) as usize } else { 0 };
-    let begin = |k: usize| {
-        let slot = subset.slots[members[(turn + k) % members.len()] as usize];
+    let begin = |k: u32| {
+        let slot = subset.slots[members[(turn + k as usize) % members.len()] as usize];
         (slot, world.ray_origin(slot as usize))
     };
-    let sequence = R2::new(&mut rng);
-    let aims = source.aims(entries.len() as u32);
-    let ratio = aims as f32 / entries.len() as f32;
-    let (mut sum, mut last) = (V::default(), None);
-    for (k, entry) in entries.iter_mut().enumerate() {
-        let (slot, from) = begin(k);
-        let direction = cosine_hemisphere(from.1, sequence.get(k as u32));
-        let (end, landed) = source.along(world, slot, from, direction, ratio, &mut rng, rays, &mut sum);
-        source.add_landed(std::mem::replace(&mut last, landed).as_ref(), &mut rng, rays, &mut sum);
+    let paths = entries.len() as u32;
+    let ended = |k: u32, end: End, rng: &mut Pcg32| {
         if let End::Landed(surfel, weight) = end {
             let u = [rng.next_f32(), rng.next_f32(), rng.next_f32()];
             let row = subset.sample(world, &surfel, u).map_or(NONE, |r| rows.row(r));
-            *entry = Entry { row, element: surfel.element_by_weight(u[0]), weight };
+            entries[k as usize] = Entry { row, element: surfel.element_by_weight(u[0]), weight };
         }
-    }
-    source.add_landed(last.as_ref(), &mut rng, rays, &mut sum);
-    let sequence = R2::new(&mut rng);
-    for k in 0..aims {
-        let (slot, from) = begin(k as usize);
-        sum += source.aimed(world, slot, from, sequence.get(k), ratio, &mut rng, rays);
-    }
-    sum / entries.len() as f32
+    };
+    gather_paths(world, source, paths, begin, ended, &mut rng, rays)
 }

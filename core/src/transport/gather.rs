@@ -1,7 +1,8 @@
 //! G: the mean of incoming radiance over cosine-distributed rays, per element.
 
 use super::incoming::{Radiance, Source};
-use super::{Effort, Work};
+use super::spots::From;
+use super::{Effort, End, Work};
 use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
@@ -31,33 +32,41 @@ pub(crate) fn gathered<'a, V: Value>(
     seed: u64,
 ) -> impl Fn(u32, &mut u64) -> V + Sync + 'a {
     let seed = subseed(seed, 0x6a);
-    move |slot, rays| gather_one(world, source, slot, effort.samples(slot, samples), seed, rays)
+    move |slot, rays| {
+        let from = world.ray_origin(slot as usize);
+        let mut rng = Pcg32::new(seed, u64::from(slot));
+        gather_paths(world, source, effort.samples(slot, samples), |_| (slot, from), |_, _, _| {}, &mut rng, rays)
+    }
 }
 
+/// The mean of what arrives along so many paths. `begin(k)` is where the `k`-th begins: the element that receives and a
+/// point on it; `ended(k, end, rng)` is told how it ended.
 #[inline]
-fn gather_one<V: Value>(
+pub(crate) fn gather_paths<V: Value>(
     world: &World,
     source: &Source<impl Radiance<V>, V>,
-    slot: u32,
-    samples: u32,
-    seed: u64,
+    paths: u32,
+    begin: impl Fn(u32) -> (u32, From),
+    mut ended: impl FnMut(u32, End, &mut Pcg32),
+    rng: &mut Pcg32,
     rays: &mut u64,
 ) -> V {
-    let from = world.ray_origin(slot as usize);
-    let mut rng = Pcg32::new(seed, u64::from(slot));
-    let sequence = R2::new(&mut rng);
-    let aims = source.aims(samples);
-    let ratio = aims as f32 / samples as f32;
+    let sequence = R2::new(rng);
+    let aims = source.aims(paths);
+    let ratio = aims as f32 / paths as f32;
     let (mut sum, mut last) = (V::default(), None);
-    for k in 0..samples {
+    for k in 0..paths {
+        let (slot, from) = begin(k);
         let direction = cosine_hemisphere(from.1, sequence.get(k));
-        let (_, landed) = source.along(world, slot, from, direction, ratio, &mut rng, rays, &mut sum);
-        source.add_landed(std::mem::replace(&mut last, landed).as_ref(), &mut rng, rays, &mut sum);
+        let (end, landed) = source.along(world, slot, from, direction, ratio, rng, rays, &mut sum);
+        source.add_landed(std::mem::replace(&mut last, landed).as_ref(), rng, rays, &mut sum);
+        ended(k, end, rng);
     }
-    source.add_landed(last.as_ref(), &mut rng, rays, &mut sum);
-    let sequence = R2::new(&mut rng);
+    source.add_landed(last.as_ref(), rng, rays, &mut sum);
+    let sequence = R2::new(rng);
     for k in 0..aims {
-        sum += source.aimed(world, slot, from, sequence.get(k), ratio, &mut rng, rays);
+        let (slot, from) = begin(k);
+        sum += source.aimed(world, slot, from, sequence.get(k), ratio, rng, rays);
     }
-    sum / samples as f32
+    sum / paths as f32
 }

@@ -16,7 +16,7 @@ mod work;
 
 pub(crate) use direct::DirectLight;
 pub(crate) use effort::Effort;
-pub(crate) use gather::{gather, gathered};
+pub(crate) use gather::{gather, gather_paths, gathered};
 pub(crate) use hint::Hint;
 pub(crate) use incoming::{Radiance, Source};
 pub(crate) use spots::{Spots, Target};

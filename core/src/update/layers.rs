@@ -15,7 +15,7 @@ use crate::layers::{
     Apart, Computed, Header, Layer, Old, Pieces, Plan, correlation, renamed, wants_layers, weights_of, weights_within,
     whole, whole_with,
 };
-use crate::lightmap::LightMap;
+use crate::lightmap::{LightMap, LightValues};
 use crate::random::subseed;
 use crate::rounds::Goal;
 use crate::transport::Work;
@@ -160,7 +160,7 @@ impl Update<'_> {
             after: after.only_layers(&headers, &own),
             ..self.transition.clone()
         };
-        let black = || Arc::new(Layer::black(before.slots()));
+        let black = || Arc::new(Layer { light: LightValues::black(before.slots()), ..Layer::default() });
         let old = origins.into_iter().map(|origin| origin.map_or_else(black, |index| regrouped[index].clone()));
         let guides = stage.after.guides(&own);
         let change = Change { transition: &stage, headers, weights: own, guides, old: old.collect() };
@@ -182,7 +182,7 @@ struct Change<'a> {
 impl Change<'_> {
     /// All light of a slot before the edit, these layers as they matter. A single layer has its own scale, and so has this.
     fn around(&self, map: &LightMap, slot: usize) -> Vec3 {
-        let own = |layer: &Layer| layer.direct[slot] + layer.indirect[slot];
+        let own = |layer: &Layer| layer.light.direct[slot] + layer.light.indirect[slot];
         let factors = self.guides.iter().zip(&self.weights).map(|(guide, weight)| *guide - *weight);
         let more = self.old.iter().zip(factors).map(|(layer, factor)| own(layer) * factor);
         let around = map.total(slot) + more.sum::<Vec3>();
@@ -204,9 +204,10 @@ fn run_change<V: Value>(
 ) -> Result<Option<Updated>, Canceled> {
     let around: Vec<Vec3> = (0..map.len()).into_par_iter().map(|slot| change.around(map, slot)).collect();
     let around = transition.carry(&around);
+    let parts = change.old.iter().map(|layer| &layer.light).collect();
     let stage = Stage {
         transition: change.transition,
-        old: Old::of_layers(&change.old, &map.variance, change.transition),
+        old: Old::new(parts, &map.light.variance, change.transition),
         weights: weights_within(&change.weights),
         guides: weights_within(&change.guides),
         around: Some(&around),

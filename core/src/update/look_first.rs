@@ -2,17 +2,16 @@
 //! representatives; rounds then estimate only what is looked at, since from the rest light arrives by way of at least
 //! one bounce, which smooths it.
 
-use std::cell::OnceCell;
 use std::sync::Arc;
 
 use super::extent::Extent;
-use super::updater::{Extents, Updater};
+use super::updater::{Extents, Prior, Updater};
 use crate::accumulate::Accumulator;
-use crate::estimate::Estimate;
 use crate::focus::Focus;
 use crate::job::Canceled;
+use crate::lightmap::LightValues;
 use crate::random::subseed;
-use crate::rounds::{First, Goal, Phase, Round, Rounds};
+use crate::rounds::{Estimator, First, Goal, Phase, Round};
 use crate::solve::Rows;
 use crate::transport::Work;
 use crate::value::Value;
@@ -27,21 +26,8 @@ const LARGE: f64 = 0.1;
 #[derive(Clone)]
 pub(super) struct Known<V> {
     /// Before any bounce; black where somebody looks.
-    pub parts: Estimate<V>,
+    pub parts: LightValues<V>,
     pub bounces: Arc<[V]>,
-    /// Of new rows.
-    pub indirect: Arc<[V]>,
-}
-
-/// What is looked at, and what its rounds need.
-pub(super) struct Look<V> {
-    is_seen: Vec<bool>,
-    seen: Extents,
-    /// Representatives that bounces are interpolated from, where they are seen.
-    rows: Arc<Rows>,
-    new_rows: Vec<u32>,
-    is_large: bool,
-    known: OnceCell<Known<V>>,
 }
 
 impl<V: Value> Known<V> {
@@ -52,47 +38,98 @@ impl<V: Value> Known<V> {
     }
 }
 
+/// What is looked at, and what its rounds need.
+pub(super) struct Look<'a, V> {
+    updater: &'a Updater<'a, V>,
+    is_seen: Vec<bool>,
+    seen: Extents,
+    /// Representatives that bounces are interpolated from, where they are seen.
+    rows: Arc<Rows>,
+    new_rows: Vec<u32>,
+    is_large: bool,
+}
+
+impl<V: Value> Estimator<V> for Look<'_, V> {
+    type Prior = (Prior<V>, Known<V>);
+
+    /// Estimates everything; element by element where somebody looks and that is much, which is an estimate, too.
+    fn first_round(
+        &self,
+        known: Option<Self::Prior>,
+        round: &Round,
+        out: &mut LightValues<V>,
+    ) -> Result<Self::Prior, Canceled> {
+        if let Some(prior) = known {
+            self.round(&prior, round, out)?;
+            return Ok(prior);
+        }
+        let samples = if self.is_large { round.samples } else { UNSEEN_SAMPLES };
+        let (prior, known) = self.updater.know(round, samples, |slot| self.is_large && self.is_seen[slot as usize])?;
+        if self.is_large {
+            out.clone_from(&known.parts);
+            out.add_indirect(&known.bounces);
+            return Ok((prior, known.around(&self.is_seen)));
+        }
+        let prior = (prior, known.around(&self.is_seen));
+        self.round(&prior, round, out)?;
+        Ok(prior)
+    }
+
+    fn prior(&self, last: Self::Prior, _: &Accumulator<V>) -> Self::Prior {
+        last
+    }
+
+    fn round(
+        &self,
+        (Prior { guide, new_rows }, Known { parts, bounces }): &Self::Prior,
+        round: &Round,
+        out: &mut LightValues<V>,
+    ) -> Result<(), Canceled> {
+        let updater = self.updater;
+        out.clone_from(parts);
+        updater.straight(round, &self.seen, &self.new_rows, &mut out.direct)?;
+        let rows = (&*self.new_rows, new_rows.as_deref());
+        updater.arriving(round, &self.seen, rows, guide.spots.as_ref(), out)?;
+        let (change, known) = (updater.change(out), Some((&self.rows, &**bounces)));
+        let mut fresh = updater.propagate(change, round, &guide.aims, known, &self.seen.source.fine)?;
+        let unseen = self.is_seen.iter().zip(fresh.iter_mut().zip(bounces.iter())).filter(|(seen, _)| !**seen);
+        unseen.for_each(|(_, (fresh, known))| *fresh = *known);
+        out.add_indirect(&fresh);
+        updater.buffers.give(fresh);
+        Ok(())
+    }
+}
+
+/// What came first, and what the rounds of the whole go by once there was a round of it.
+pub(super) type Ahead<V> = (Option<First<V>>, Option<Prior<V>>);
+
 impl<V: Value> Updater<'_, V> {
     /// Brings up to date what comes first; none where that is nothing.
-    pub(super) fn come_first(&self, goal: &Goal, work: &Work) -> Result<Option<First<V>>, Canceled> {
-        match (goal.importance.one_by_one(), goal.focus()) {
-            (Some(tiles), focus) => self.tile_by_tile(focus, tiles, goal, work),
-            (None, Some(focus)) => self.look_first(focus, goal, work),
-            (None, None) => Ok(None),
-        }
+    pub(super) fn come_first(&self, goal: &Goal, work: &Work) -> Result<Ahead<V>, Canceled> {
+        let (first, prior) = match (goal.importance.one_by_one(), goal.focus()) {
+            (Some(tiles), focus) => self.tile_by_tile(focus, tiles, goal, work)?,
+            (None, Some(focus)) => self.look_first(focus, goal, work)?,
+            (None, None) => (None, None),
+        };
+        // The light of new rows was known roughly.
+        Ok((first, prior.map(|prior| Prior { new_rows: None, ..prior })))
     }
 
     /// Brings what is looked at up to date; none where that is nothing.
-    fn look_first(&self, focus: &Focus, goal: &Goal, work: &Work) -> Result<Option<First<V>>, Canceled> {
+    fn look_first(&self, focus: &Focus, goal: &Goal, work: &Work) -> Result<Ahead<V>, Canceled> {
         let is_seen = focus.covers(self.world);
         if !is_seen.iter().any(|seen| *seen) {
-            return Ok(None);
+            return Ok((None, None));
         }
         let look = self.look(is_seen);
-        let mut last = None;
-        let compose = |s: &Accumulator<V>| {
-            let mut stack = self.compose(s);
-            let unseen = self.static_rows.iter().copied().filter(|&slot| !look.is_seen[slot as usize]);
-            stack.take(self.old(), unseen);
-            stack.fill_invalid(&self.world.validity);
-            let map = self.finish(&stack);
-            last = Some((stack, s.samples()));
-            map
-        };
-        let (budget, seed) = (&goal.first_budget(), goal.first_seed());
-        // The rest of the map is out of date: nothing can be stated about the whole.
-        let (world, weights) = (self.world, self.stage.weights);
-        let rounds = Rounds { world, weights, budget, seed, work, phase: Phase::Part, guesses: goal.guesses };
-        rounds.run(|_| None, |_| false, |r, out| self.round_of(r, &look, out), compose)?;
-        Ok(last.map(|(stack, samples)| First::evenly(stack, &look.is_seen, samples)))
+        let rounds = goal.rounds(self.world, self.stage.weights, work, Phase::Part);
+        let old = (self.stage.old.stack(), &*self.static_rows);
+        let (first, prior) = rounds.run_first(&look, &look.is_seen, Some(old), self.stage.finish)?;
+        Ok((first, prior.map(|(prior, _)| prior)))
     }
 
-    /// With what is known of everything else.
-    pub(super) fn look_with(&self, is_seen: Vec<bool>, known: Known<V>) -> Look<V> {
-        Look { is_large: false, known: OnceCell::from(known), ..self.look(is_seen) }
-    }
-
-    fn look(&self, is_seen: Vec<bool>) -> Look<V> {
+    /// What rounds of some slots need.
+    pub(super) fn look(&self, is_seen: Vec<bool>) -> Look<'_, V> {
         let seen = |rows: &[u32]| -> Vec<u32> { rows.iter().copied().filter(|&slot| is_seen[slot as usize]).collect() };
         let (slots, is_near) = (self.world.slots(), self.source.is_near());
         let (static_rows, new_rows) = (seen(&self.static_rows), seen(&self.transition.new_rows));
@@ -104,53 +141,25 @@ impl<V: Value> Updater<'_, V> {
         let rows = Arc::new(Rows::only(&self.subset, |slot| needed[slot as usize]));
         let count = is_seen.iter().filter(|seen| **seen).count();
         let is_large = count as f64 > LARGE * self.world.element_count() as f64;
-        Look { seen: extents, rows, new_rows, is_large, known: OnceCell::new(), is_seen }
-    }
-
-    /// Estimates everything; element by element where somebody looks and that is much. Answers that estimate, too.
-    fn estimate_all(&self, round: &Round<V>, look: &Look<V>) -> Result<(Known<V>, Estimate<V>), Canceled> {
-        let samples = if look.is_large { round.samples } else { UNSEEN_SAMPLES };
-        let known = self.know(round, samples, |slot| look.is_large && look.is_seen[slot as usize])?;
-        let mut estimate = known.parts.clone();
-        estimate.add_indirect(&known.bounces);
-        Ok((known.around(&look.is_seen), estimate))
+        Look { updater: self, seen: extents, rows, new_rows, is_large, is_seen }
     }
 
     /// Everything at few samples, for all tiles.
-    pub(super) fn know_roughly(&self, round: &Round<V>) -> Result<Known<V>, Canceled> {
+    pub(super) fn know_roughly(&self, round: &Round) -> Result<(Prior<V>, Known<V>), Canceled> {
         self.know(round, UNSEEN_SAMPLES, |_| false)
     }
 
-    fn know(&self, round: &Round<V>, samples: u32, is_fine: impl Fn(u32) -> bool) -> Result<Known<V>, Canceled> {
+    fn know(
+        &self,
+        round: &Round,
+        samples: u32,
+        is_fine: impl Fn(u32) -> bool,
+    ) -> Result<(Prior<V>, Known<V>), Canceled> {
         let round = Round { samples, seed: subseed(round.seed, 0xa11), ..*round };
-        let mut parts = Estimate::default();
-        parts.blacken(self.world.slots());
-        self.arriving(&round, &self.extents(is_fine), (&self.transition.new_rows, None), &mut parts)?;
-        let bounces = self.propagate(&parts, &round, None, &[])?;
-        let indirect = parts.indirect.iter().zip(&bounces).map(|(i, b)| *i + *b).collect();
-        Ok(Known { parts, bounces: bounces.into(), indirect })
-    }
-
-    pub(super) fn round_of(&self, round: &Round<V>, look: &Look<V>, out: &mut Estimate<V>) -> Result<(), Canceled> {
-        let Known { parts, bounces, indirect } = match look.known.get() {
-            Some(known) => known,
-            None => {
-                let (known, estimate) = self.estimate_all(round, look)?;
-                let known = look.known.get_or_init(|| known);
-                if look.is_large {
-                    *out = estimate;
-                    return Ok(());
-                }
-                known
-            }
-        };
-        *out = parts.clone();
-        self.arriving(round, &look.seen, (&look.new_rows, Some(indirect)), out)?;
-        let mut fresh = self.propagate(out, round, Some((&look.rows, bounces)), &look.seen.source.fine)?;
-        let unseen = look.is_seen.iter().zip(fresh.iter_mut().zip(bounces.iter())).filter(|(seen, _)| !**seen);
-        unseen.for_each(|(_, (fresh, known))| *fresh = *known);
-        out.add_indirect(&fresh);
-        self.buffers.give(fresh);
-        Ok(())
+        let mut parts = LightValues::default();
+        let (guide, bounces) = self.explore(&round, &self.extents(is_fine), &mut parts)?;
+        let indirect = |&slot: &u32| parts.indirect[slot as usize] + bounces[slot as usize];
+        let new_rows = Some(self.transition.new_rows.iter().map(indirect).collect());
+        Ok((Prior { guide: Arc::new(guide), new_rows }, Known { parts, bounces: bounces.into() }))
     }
 }

@@ -21,23 +21,21 @@ mod source;
 mod tile_by_tile;
 mod updater;
 
-use std::cell::OnceCell;
 use std::sync::Arc;
 
 use glam::Vec3;
 
 use self::layers::update_layers;
-use self::updater::Updater;
+use self::updater::{Extents, Prior, Updater};
 use crate::accumulate::Accumulator;
-use crate::bake::Baker;
-use crate::estimate::Estimate;
+use crate::bake::{self, Baker};
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer};
 use crate::layers::{Apart, Old};
-use crate::lightmap::LightMap;
+use crate::lightmap::{LightMap, LightValues};
 use crate::random::subseed;
 use crate::refine::refine_with;
-use crate::rounds::{Goal, Phase, Round, Rounds};
+use crate::rounds::{Estimator, Goal, Phase, Round};
 use crate::transport::Work;
 use crate::value::Value;
 use crate::world::Transition;
@@ -97,7 +95,7 @@ fn update_whole(
     goal: &Goal,
     work: &Work,
 ) -> Result<Option<Updated>, Canceled> {
-    let (old, finish) = (Old::of_map(map, transition), Apart::into_map);
+    let (old, finish) = (Old::new(vec![&map.light], &map.light.variance, transition), Apart::into_map);
     let (weights, guides) = (&[Vec3::ONE], &[Vec3::ONE]);
     let stage = Stage { transition, old, weights, guides, around: None, finish: &finish };
     run_stage::<Vec3>(&stage, goal, work)
@@ -122,36 +120,86 @@ pub(crate) struct Stage<'a> {
 
 /// Runs a stage to its goal; none where the observer planned no round.
 pub(crate) fn run_stage<V: Value>(stage: &Stage, goal: &Goal, work: &Work) -> Result<Option<Updated>, Canceled> {
-    let (world, budget, seed) = (&stage.transition.after, goal.budget, goal.seed);
+    let world = &stage.transition.after;
     let (weights, finish) = (stage.weights, stage.finish);
     let updater = Updater::<V>::new(stage, work);
-    let first = updater.come_first(goal, work)?;
-    let extents = updater.extents(|_| true);
-    let baker = OnceCell::new();
-    let round = |r: &Round<V>, out: &mut Estimate<V>| {
-        if baker.get().is_none() {
-            updater.round(r, &extents, out)?;
-            if r.sum.samples() > 0 || !updater.outgrows_the_light(out) {
-                return Ok(());
-            }
-        }
-        baker.get_or_init(|| Baker::new(world, stage.guides, seed, work)).round(r, out)
-    };
-    let compose = |s: &Accumulator<V>| {
-        finish(match (baker.get(), &first) {
-            (Some(_), _) => Apart::of_mean(s, None, &world.validity),
-            (None, None) => Apart::of_mean(s, Some(&stage.old), &world.validity),
-            (None, Some(first)) => Apart::of_stack(&updater.merge(first, s), weights.len()),
+    let (first, known) = updater.come_first(goal, work)?;
+    let rounds = StageRounds { updater: &updater, extents: updater.extents(|_| true), seed: goal.seed };
+    let compose = |s: &Accumulator<V>, prior: &StagePrior<V>| {
+        finish(match (prior, &first) {
+            (StagePrior::Bake(..), _) => Apart::of_mean(s, None, &world.validity),
+            (StagePrior::Change(_), None) => Apart::of_mean(s, Some(&stage.old), &world.validity),
+            (StagePrior::Change(_), Some(first)) => Apart::of_stack(&updater.merged(first, s), weights.len()),
         })
     };
     let stated = |map: &LightMap| Some(map.estimated_rmse(world.areas()));
     // What the old map brings along in noise no number of samples of the change takes away.
     let carried = updater.carried_variance();
     let enough = |s: &Accumulator<V>| {
-        budget.target_rmse.is_some() && s.knows_variance() && updater.mean(&s.variance()) < SETTLED * carried
+        goal.budget.target_rmse.is_some() && s.knows_variance() && updater.mean(&s.variance()) < SETTLED * carried
     };
     let phase = if first.is_some() { Phase::Rest } else { Phase::Whole };
-    let rounds = Rounds { world, weights, budget, seed, work, phase, guesses: goal.guesses };
-    let map = rounds.run(stated, enough, round, compose)?;
-    Ok(map.map(|map| Updated { map, baked: baker.get().is_some() }))
+    let known = known.map(StagePrior::Change);
+    let (map, prior) =
+        goal.rounds(world, weights, work, phase).run_and_show(&rounds, known, stated, enough, compose)?;
+    let baked = matches!(prior, Some(StagePrior::Bake(..)));
+    Ok(map.map(|map| Updated { map, baked }))
+}
+
+/// Rounds of a whole stage.
+struct StageRounds<'a, V> {
+    updater: &'a Updater<'a, V>,
+    extents: Extents,
+    /// Of a bake in its place.
+    seed: u64,
+}
+
+/// What rounds of a stage go by.
+enum StagePrior<V> {
+    Change(Prior<V>),
+    /// The change outgrew the light that is left.
+    Bake(Box<Baker>, bake::Prior),
+}
+
+impl<V: Value> Estimator<V> for StageRounds<'_, V> {
+    type Prior = StagePrior<V>;
+
+    fn first_round(
+        &self,
+        known: Option<StagePrior<V>>,
+        round: &Round,
+        out: &mut LightValues<V>,
+    ) -> Result<StagePrior<V>, Canceled> {
+        let prior = match known {
+            Some(prior) => {
+                self.round(&prior, round, out)?;
+                prior
+            }
+            None => StagePrior::Change(self.updater.first_round(round, &self.extents, out)?),
+        };
+        if !self.updater.outgrows_the_light(out) {
+            return Ok(prior);
+        }
+        let Updater { world, stage, work, .. } = *self.updater;
+        let baker = Box::new(Baker::new(world, stage.guides, self.seed));
+        let prior = baker.rounds(work).first_round(None, round, out)?;
+        Ok(StagePrior::Bake(baker, prior))
+    }
+
+    fn prior(&self, last: StagePrior<V>, sum: &Accumulator<V>) -> StagePrior<V> {
+        match last {
+            StagePrior::Change(prior) => StagePrior::Change(self.updater.prior(prior, sum)),
+            StagePrior::Bake(baker, prior) => {
+                let prior = baker.rounds(self.updater.work).prior(prior, sum);
+                StagePrior::Bake(baker, prior)
+            }
+        }
+    }
+
+    fn round(&self, prior: &StagePrior<V>, round: &Round, out: &mut LightValues<V>) -> Result<(), Canceled> {
+        match prior {
+            StagePrior::Change(prior) => self.updater.round(prior, round, &self.extents, out),
+            StagePrior::Bake(baker, prior) => baker.rounds(self.updater.work).round(prior, round, out),
+        }
+    }
 }

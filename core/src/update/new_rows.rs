@@ -2,9 +2,7 @@
 
 use std::sync::Arc;
 
-use rayon::prelude::*;
-
-use super::updater::{CHUNK, Updater};
+use super::updater::Updater;
 use crate::job::Canceled;
 use crate::random::subseed;
 use crate::rounds::Round;
@@ -20,15 +18,23 @@ const NEW_ROW_SAMPLES: u32 = 4;
 const SELF_SAMPLES: u32 = 32;
 
 impl<V: Value> Updater<'_, V> {
-    /// Direct and indirect light of new rows, written over their slots. `direct` holds ΔD of the static rows, and what
-    /// is known of new rows that are not among `rows`; `known` is the indirect light of all new rows, where there is
-    /// any yet.
+    /// Direct light of new rows, written over their slots.
+    pub(super) fn direct_of_new_rows(&self, round: &Round, rows: &[u32], direct: &mut [V]) -> Result<(), Canceled> {
+        let (samples, seed) = (round.samples * NEW_ROW_SAMPLES, subseed(round.seed, 0xd0));
+        let found: Vec<V> = direct_of(self.world, rows, samples, &Effort::default(), seed, self.work)?;
+        rows.iter().zip(found).for_each(|(&slot, light)| direct[slot as usize] = light);
+        Ok(())
+    }
+
+    /// Indirect light of new rows, written over their slots. `direct` holds ΔD of the static rows, and direct light of all
+    /// new rows; `known` is the indirect light of all new rows, where there is any yet.
     pub(super) fn new_rows(
         &self,
-        round: &Round<V>,
+        round: &Round,
         rows: &[u32],
         known: Option<&[V]>,
-        direct: &mut [V],
+        spots: Option<&Spots>,
+        direct: &[V],
         indirect: &mut [V],
     ) -> Result<(), Canceled> {
         if rows.is_empty() {
@@ -37,22 +43,13 @@ impl<V: Value> Updater<'_, V> {
         let (world, work) = (self.world, self.work);
         let (samples, nominal) = (round.samples * NEW_ROW_SAMPLES, Effort::default());
         // What they see of the elements that stay: old light, changed direct light.
-        let mut field = self.buffers.take();
-        let light = self.light.borrow();
-        light.par_iter().zip(&*direct).with_min_len(CHUNK).map(|(t, d)| *t + *d).collect_into_vec(&mut field);
-        drop(light);
-        let own_direct: Vec<V> = direct_of(world, rows, samples, &nominal, subseed(round.seed, 0xd0), work)?;
-        for (&slot, d) in rows.iter().zip(&own_direct) {
-            direct[slot as usize] = *d;
-        }
-        self.transition.new_rows.iter().for_each(|&slot| field[slot as usize] = direct[slot as usize]);
+        let mut field = self.with_direct(direct);
         world.validity.fill(&mut field);
-        let spots = self.spots_of_light(&field);
         match known {
-            None => self.self_passes(round.seed, &own_direct, spots, &mut field)?,
+            None => self.self_passes(round.seed, direct, spots, &mut field)?,
             Some(known) => {
                 let all = &self.transition.new_rows;
-                all.iter().for_each(|&slot| field[slot as usize] += known[slot as usize]);
+                all.iter().zip(known).for_each(|(&slot, known)| field[slot as usize] += *known);
             }
         }
         let rough = Rough::default();
@@ -65,7 +62,7 @@ impl<V: Value> Updater<'_, V> {
     }
 
     /// All bounces among the new rows, on their subset: what they gather of the light around them, and of one another.
-    fn self_passes(&self, seed: u64, own_direct: &[V], spots: Option<&Spots>, field: &mut [V]) -> Result<(), Canceled> {
+    fn self_passes(&self, seed: u64, direct: &[V], spots: Option<&Spots>, field: &mut [V]) -> Result<(), Canceled> {
         let (world, slots) = (self.world, &self.transition.new_rows);
         let is_new = self.new_flags();
         let rows = Arc::new(Rows::only(&self.subset, |slot| is_new[slot as usize]));
@@ -82,7 +79,7 @@ impl<V: Value> Updater<'_, V> {
             self.work,
         )?;
         let values = exchange.to_representatives(&self.subset, &exchange.all_bounces(&exchange.first));
-        slots.iter().zip(own_direct).for_each(|(&slot, d)| field[slot as usize] = *d);
+        slots.iter().for_each(|&slot| field[slot as usize] = direct[slot as usize]);
         self.subset.add_where(|slot| is_new[slot as usize], &values, field);
         world.validity.fill(field);
         Ok(())

@@ -7,8 +7,8 @@ use rayon::prelude::*;
 
 use super::allotment::{ALBEDO, Allotment};
 use super::updater::{CHUNK, Updater};
-use crate::estimate::Estimate;
 use crate::job::{Canceled, Pass};
+use crate::lightmap::LightValues;
 use crate::random::{Pcg32, subseed};
 use crate::rounds::Round;
 use crate::solve::{Exchange, Paths, Rows};
@@ -27,14 +27,14 @@ const LEAST_WEIGHT: f64 = 0.25;
 /// wrong.
 const FINE_FROM: u32 = 8;
 
-/// Where paths look for a change, as it was estimated first: whatever it says, what they find is unbiased.
+/// Where paths look for a change, as it was estimated first.
 pub(super) struct Aims {
     spots: Option<Spots>,
     allotment: Allotment,
 }
 
 /// Light that has changed, as it is looked up.
-struct Change<'a, V> {
+pub(super) struct Change<'a, V> {
     /// ΔD + S, as elements see it that have an old value.
     seen_by_old: Vec<V>,
     /// S alone: new rows have gathered ΔD and the repainted surfaces already.
@@ -42,6 +42,8 @@ struct Change<'a, V> {
     is_new: Vec<bool>,
     /// Change of albedo per part, and the light that it reflects; none where nothing was repainted.
     repainted: Option<(&'a [Vec3], &'a [V])>,
+    /// How much light has changed per slot ([`Change::amounts_of`]).
+    amounts: Vec<f32>,
 }
 
 impl<V: Value> Change<'_, V> {
@@ -83,7 +85,7 @@ impl<V: Value> Change<'_, V> {
 
 impl<V: Value> Change<'_, V> {
     /// How much the light has changed that leaves an element, over a usual albedo, mean over RGB.
-    fn amounts(&self, world: &World, guides: &[Vec3]) -> Vec<f32> {
+    fn amounts_of(&self, world: &World, guides: &[Vec3]) -> Vec<f32> {
         let amount = |light: Vec3| light.abs().element_sum() / 3.0;
         let of_light = |light: &V| amount(light.weighted(guides));
         let mut amounts: Vec<f32> = self.seen_by_old.par_iter().with_min_len(CHUNK).map(of_light).collect();
@@ -115,18 +117,21 @@ impl<V: Value> Updater<'_, V> {
     /// mean light, 5.5 % with it).
     pub(super) fn propagate(
         &self,
-        parts: &Estimate<V>,
-        round: &Round<V>,
+        change: Change<V>,
+        round: &Round,
+        aims: &Aims,
         known: Option<(&Arc<Rows>, &[V])>,
         near: &[u32],
     ) -> Result<Vec<V>, Canceled> {
         let world = self.world;
         (round.begin)(Pass::Propagation, 0.8);
-        let change = self.change(parts);
-        let mut field = self.on_the_subset(&change, round, known)?;
-        if !near.is_empty() && round.sum.samples() >= FINE_FROM {
+        let mut field = self.on_the_subset(&change, round, aims, known)?;
+        if !near.is_empty() && round.earlier >= FINE_FROM {
             let bounces = known.map_or(&*field, |(_, bounces)| bounces);
-            let found = self.element_by_element(&change, round, bounces, near)?;
+            let source = change.source(Some(bounces), aims.spots.as_ref());
+            let seed = subseed(round.seed, 0x9410);
+            let found = gather(world, &source, near, round.samples, &Effort::default(), seed, self.work)?;
+            drop(source);
             near.iter().zip(found).for_each(|(&slot, light)| field[slot as usize] = light);
             world.validity.fill(&mut field);
         }
@@ -139,17 +144,13 @@ impl<V: Value> Updater<'_, V> {
     fn on_the_subset(
         &self,
         change: &Change<V>,
-        round: &Round<V>,
+        round: &Round,
+        Aims { spots, allotment }: &Aims,
         known: Option<(&Arc<Rows>, &[V])>,
     ) -> Result<Vec<V>, Canceled> {
         let world = self.world;
         let samples = (round.samples * 2).clamp(PROPAGATION_SAMPLES.0, PROPAGATION_SAMPLES.1);
-        let amounts = change.amounts(world, self.stage.guides);
-        let samples = (f64::from(samples) * self.weight_of(&amounts)).ceil() as u32;
-        let Aims { spots, allotment } = self.aims.get_or_init(|| Aims {
-            spots: Spots::of_change(world, &change.seen_by_old, self.stage.guides),
-            allotment: Allotment::new(world, &self.subset, &amounts),
-        });
+        let samples = (f64::from(samples) * self.weight_of(&change.amounts)).ceil() as u32;
         let seed = subseed(round.seed, 0x9409);
         let (rows, bounces) = known.unzip();
         let (rows, paths) = allotment.rows(world, &self.subset, rows.unwrap_or(&self.rows), samples);
@@ -166,21 +167,16 @@ impl<V: Value> Updater<'_, V> {
         Ok(field)
     }
 
-    /// X of some elements, from what others have of it.
-    fn element_by_element(
-        &self,
-        change: &Change<V>,
-        round: &Round<V>,
-        bounces: &[V],
-        slots: &[u32],
-    ) -> Result<Vec<V>, Canceled> {
-        let spots = self.aims.get().and_then(|aims| aims.spots.as_ref());
-        let source = change.source(Some(bounces), spots);
-        let seed = subseed(round.seed, 0x9410);
-        gather(self.world, &source, slots, round.samples, &Effort::default(), seed, self.work)
+    /// Where to look for a change.
+    pub(super) fn aims(&self, change: &Change<V>) -> Aims {
+        Aims {
+            spots: Spots::of_change(self.world, &change.seen_by_old, self.stage.guides),
+            allotment: Allotment::new(self.world, &self.subset, &change.amounts),
+        }
     }
 
-    fn change(&self, Estimate { direct, indirect }: &Estimate<V>) -> Change<'_, V> {
+    /// What has changed, of changes on static rows and values on new rows.
+    pub(super) fn change(&self, LightValues { direct, indirect, .. }: &LightValues<V>) -> Change<'_, V> {
         let seen = |light: &(dyn Fn(usize) -> V + Sync)| -> Vec<V> {
             let mut seen = self.buffers.take();
             let slots = self.is_static.par_iter().enumerate().with_min_len(CHUNK);
@@ -197,8 +193,9 @@ impl<V: Value> Updater<'_, V> {
         }
         self.world.validity.fill(&mut seen_by_old);
         self.world.validity.fill(&mut seen_by_new);
-        let repainted = (!self.old_total.is_empty()).then_some((&*self.repaint, &*self.old_total));
-        Change { seen_by_old, seen_by_new, is_new: self.new_flags(), repainted }
+        let repainted = self.repaint.as_deref().map(|repaint| (repaint, &*self.light));
+        let change = Change { seen_by_old, seen_by_new, is_new: self.new_flags(), repainted, amounts: Vec::new() };
+        Change { amounts: change.amounts_of(self.world, self.stage.guides), ..change }
     }
 
     /// How well a change has to be known beside the noise that the old map has anyway, up to 1.

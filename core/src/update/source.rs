@@ -80,7 +80,7 @@ impl<'a> Source<'a> {
         extent: &Extent,
         subset: &Subset,
         maps: &Maps<V>,
-        round: &Round<V>,
+        round: &Round,
         work: &Work,
         direct: &mut [V],
         indirect: &mut [V],

@@ -3,10 +3,9 @@
 
 use std::sync::Arc;
 
-use super::look_first::Known;
+use super::look_first::{Ahead, Known};
 use super::places::places;
-use super::updater::Updater;
-use crate::accumulate::Accumulator;
+use super::updater::{Prior, Updater};
 use crate::focus::Focus;
 use crate::importance::Tiles;
 use crate::job::{Canceled, Pass, Progress, Snapshot};
@@ -28,24 +27,32 @@ impl<V: Value> Updater<'_, V> {
         tiles: &Tiles,
         goal: &Goal,
         work: &Work,
-    ) -> Result<Option<First<V>>, Canceled> {
+    ) -> Result<Ahead<V>, Canceled> {
         let keys = self.keys(focus);
         let order = cut(self.world.positions(), &self.subset.cells(), &keys, tiles.size);
         if order.is_empty() || work.observer().leaves_first() {
-            return Ok(None);
+            return Ok((None, None));
         }
-        let known = self.know_for_tiles(goal, work)?;
-        let mut first = First { stack: self.carried(&known), samples: vec![0; self.world.slots()] };
+        let (prior, known) = self.know_for_tiles(goal, work)?;
+        let old = self.stage.old.stack();
+        let mut stack = self.carried(&old, &prior, &known);
+        let mut samples = vec![0; self.world.slots()];
         for (index, tile) in order.iter().enumerate() {
-            let Some(sum) = self.tile(tile, &known, goal, (work, index as u64))? else { break };
-            first.stack.take(&self.compose(&sum), tile.iter().copied());
-            first.stack.fill_invalid(&self.world.validity);
-            tile.iter().for_each(|&slot| first.samples[slot as usize] = sum.samples());
+            let mut is_seen = vec![false; self.world.slots()];
+            tile.iter().for_each(|&slot| is_seen[slot as usize] = true);
+            let known = (prior.clone(), known.clone().around(&is_seen));
+            let seed = subseed(goal.first_seed(), 1 + index as u64);
+            let rounds = Rounds { seed, ..goal.rounds(self.world, self.stage.weights, work, Phase::Part) };
+            let Some(sum) = rounds.run_tile(&self.look(is_seen), known)? else { break };
+            stack.take(&Stack::of_mean(&sum, Some(&old), &self.world.validity), tile.iter().copied());
+            stack.fill_invalid(&self.world.validity);
+            tile.iter().for_each(|&slot| samples[slot as usize] = sum.samples());
             let done = Progress { rays: work.rays(), ..Progress::at_once(Pass::FinalGather, 0, None) };
             work.observer().progress(&done);
-            work.observer().snapshot(&Arc::new(self.finish(&first.stack)), Snapshot::Partial, &done);
+            work.observer().snapshot(&Arc::new(self.finish(&stack)), Snapshot::Partial, &done);
         }
-        Ok(first.samples.iter().any(|&samples| samples > 0).then_some(first))
+        let first = samples.iter().any(|&samples| samples > 0).then_some(First { stack, samples, old: Some(old) });
+        Ok((first, Some(prior)))
     }
 
     /// Per slot how soon its turn comes; infinite where it does not come before the rest.
@@ -76,41 +83,22 @@ impl<V: Value> Updater<'_, V> {
         bounds.into_iter().map(key).collect()
     }
 
-    fn know_for_tiles(&self, goal: &Goal, work: &Work) -> Result<Known<V>, Canceled> {
+    fn know_for_tiles(&self, goal: &Goal, work: &Work) -> Result<(Prior<V>, Known<V>), Canceled> {
         let begin = |pass, fraction| {
             let progress = Progress { round_fraction: fraction, ..Progress::at_once(pass, 0, None) };
             work.observer().progress(&Progress { rays: work.rays(), ..progress });
         };
-        let sum = Accumulator::new(self.stage.weights, self.world.stated());
-        self.know_roughly(&Round { samples: 1, seed: goal.first_seed(), sum: &sum, begin: &begin })
+        self.know_roughly(&Round { samples: 1, earlier: 0, seed: goal.first_seed(), begin: &begin })
     }
 
     /// What is shown before the first tile: old light, and on new rows, which have none, what is known roughly.
-    fn carried(&self, known: &Known<V>) -> Stack<V> {
-        let mut stack = self.old().clone();
-        for &slot in &self.transition.new_rows {
+    fn carried(&self, old: &Stack<V>, prior: &Prior<V>, known: &Known<V>) -> Stack<V> {
+        let mut stack = old.clone();
+        for (&slot, indirect) in self.transition.new_rows.iter().zip(prior.new_rows.iter().flat_map(|rows| &**rows)) {
             let slot = slot as usize;
-            (stack.direct[slot], stack.indirect[slot]) = (known.parts.direct[slot], known.indirect[slot]);
+            (stack.light.direct[slot], stack.light.indirect[slot]) = (known.parts.direct[slot], *indirect);
         }
         stack.fill_invalid(&self.world.validity);
         stack
-    }
-
-    /// One tile; none where the observer ends it.
-    fn tile(
-        &self,
-        tile: &[u32],
-        known: &Known<V>,
-        goal: &Goal,
-        (work, index): (&Work, u64),
-    ) -> Result<Option<Accumulator<V>>, Canceled> {
-        let mut is_seen = vec![false; self.world.slots()];
-        tile.iter().for_each(|&slot| is_seen[slot as usize] = true);
-        let known = known.clone().around(&is_seen);
-        let look = self.look_with(is_seen, known);
-        let (world, weights) = (self.world, self.stage.weights);
-        let (budget, seed) = (&goal.first_budget(), subseed(goal.first_seed(), 1 + index));
-        let rounds = Rounds { world, weights, budget, seed, work, phase: Phase::Part, guesses: goal.guesses };
-        rounds.run_quietly(|round, out| self.round_of(round, &look, out))
     }
 }

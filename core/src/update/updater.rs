@@ -1,19 +1,18 @@
 //! One stage of an update: the change of some layers, round by round.
 
-use std::cell::{OnceCell, RefCell};
 use std::sync::Arc;
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::buffers::Buffers;
 use super::extent::Extent;
 use super::propagate::Aims;
 use super::{Stage, direct, source};
 use crate::accumulate::Accumulator;
-use crate::estimate::Estimate;
 use crate::job::{Canceled, Pass};
 use crate::layers::{Apart, Stack};
-use crate::lightmap::LightMap;
+use crate::lightmap::{LightMap, LightValues};
 use crate::rounds::{First, Round};
 use crate::solve::{Rows, Subset};
 use crate::transport::{Spots, Work};
@@ -39,13 +38,8 @@ pub(super) struct Updater<'a, V> {
     pub(super) world: &'a World,
     pub(super) work: &'a Work<'a>,
     pub(super) stage: &'a Stage<'a>,
-    /// The old light in the new slots, for what is looked at first; zero on new rows.
-    old: OnceCell<Stack<V>>,
-    /// Its sum, direct and indirect, with new rows' own values as they were found last: what is looked up of the new
-    /// scene.
-    pub(super) light: RefCell<Vec<V>>,
-    /// That sum with new rows black; empty where nothing is repainted.
-    pub(super) old_total: Vec<V>,
+    /// The sum of the old light, direct and indirect, in the new slots; black on new rows.
+    pub(super) light: Vec<V>,
     /// direct + indirect of the map of `before`, in its slots.
     pub(super) before_total: Vec<V>,
     /// Computed elements that keep an old value.
@@ -56,13 +50,27 @@ pub(super) struct Updater<'a, V> {
     pub(super) rows: Arc<Rows>,
     pub(super) source: source::Source<'a>,
     direct: direct::DirectChange<'a>,
-    /// Where much of all light is, as it was known first: whatever it says, what is gathered has no bias.
-    spots: OnceCell<Option<Spots>>,
-    /// Of the bounces of the change.
-    pub(super) aims: OnceCell<Aims>,
-    /// Change of albedo per part of the new world.
-    pub(super) repaint: Vec<Vec3>,
+    /// Change of albedo per part of the new world; none where nothing is repainted.
+    pub(super) repaint: Option<Vec<Vec3>>,
+    /// Memory only: nothing is read of it that was not written in the same round.
     pub(super) buffers: Buffers<V>,
+}
+
+/// What rounds of a change go by. It can be had again from the transition and the first round's seed and samples, and,
+/// for later rounds, the mean of those before.
+#[derive(Clone)]
+pub(super) struct Prior<V> {
+    pub guide: Arc<Guide>,
+    /// Indirect light of all new rows, one after the other, once there is some.
+    pub new_rows: Option<Arc<[V]>>,
+}
+
+/// Where light and change were found first.
+pub(super) struct Guide {
+    /// Where much of all light is.
+    pub spots: Option<Spots>,
+    /// Of the bounces of the change.
+    pub aims: Aims,
 }
 
 impl<'a, V: Value> Updater<'a, V> {
@@ -83,19 +91,15 @@ impl<'a, V: Value> Updater<'a, V> {
             world,
             work,
             stage,
-            old_total: if transition.repaints_anything() { light.clone() } else { Vec::new() },
-            light: RefCell::new(light),
+            light,
             before_total,
-            old: OnceCell::new(),
             rows: Arc::new(Rows::all(&subset)),
             source: source::Source::new(transition),
             static_rows,
             is_static,
             subset,
             direct: direct::DirectChange::new(transition),
-            spots: OnceCell::new(),
-            aims: OnceCell::new(),
-            repaint: transition.repaint(),
+            repaint: transition.repaints_anything().then(|| transition.repaint()),
             buffers: Buffers::new(),
         }
     }
@@ -114,11 +118,6 @@ impl<'a, V: Value> Updater<'a, V> {
         self.world.area_mean(self.static_rows.iter().map(|&slot| slot as usize), |slot| f64::from(value(slot)))
     }
 
-    /// The old light in the new slots; zero on new rows.
-    pub(super) fn old(&self) -> &Stack<V> {
-        self.old.get_or_init(|| self.stage.old.stack())
-    }
-
     /// Element by element where `is_wanted` says so, and S only near the edit; elsewhere on the subset.
     pub(super) fn extents(&self, is_wanted: impl Fn(u32) -> bool) -> Extents {
         let is_near = self.source.is_near();
@@ -130,62 +129,134 @@ impl<'a, V: Value> Updater<'a, V> {
     }
 
     /// The mean of what was done first and what followed, by samples.
-    pub(super) fn merge(&self, first: &First<V>, sum: &Accumulator<V>) -> Stack<V> {
-        let mut stack = self.compose(sum);
+    pub(super) fn merged(&self, first: &First<V>, sum: &Accumulator<V>) -> Stack<V> {
         let rows = self.static_rows.iter().chain(&self.transition.new_rows).copied();
-        first.merge(&mut stack, sum.samples(), rows, Some(self.old()));
-        stack.fill_invalid(&self.world.validity);
-        stack
+        first.merged(sum, rows, &self.world.validity)
+    }
+
+    /// The first estimate, and what others go by.
+    pub(super) fn first_round(
+        &self,
+        round: &Round,
+        extents: &Extents,
+        out: &mut LightValues<V>,
+    ) -> Result<Prior<V>, Canceled> {
+        let (guide, bounces) = self.explore(round, extents, out)?;
+        out.add_indirect(&bounces);
+        self.buffers.give(bounces);
+        Ok(Prior { guide: Arc::new(guide), new_rows: None })
+    }
+
+    /// What light arrives before any bounce, and its bounces, where nothing is known yet. What is found tells where to
+    /// look: no ray looks twice.
+    pub(super) fn explore(
+        &self,
+        round: &Round,
+        extents: &Extents,
+        out: &mut LightValues<V>,
+    ) -> Result<(Guide, Vec<V>), Canceled> {
+        let new_rows = &self.transition.new_rows;
+        out.blacken(self.world.slots());
+        self.straight(round, extents, new_rows, &mut out.direct)?;
+        let spots = self.spots(&out.direct);
+        self.arriving(round, extents, (new_rows, None), spots.as_ref(), out)?;
+        let change = self.change(out);
+        let aims = self.aims(&change);
+        let bounces = self.propagate(change, round, &aims, None, &[])?;
+        Ok((Guide { spots, aims }, bounces))
+    }
+
+    /// What the next round goes by.
+    pub(super) fn prior(&self, last: Prior<V>, sum: &Accumulator<V>) -> Prior<V> {
+        let indirect = &sum.mean().indirect;
+        let new_rows = self.transition.new_rows.iter().map(|&slot| indirect[slot as usize]);
+        Prior { new_rows: Some(new_rows.collect()), ..last }
     }
 
     /// One independent estimate: changes on static rows, values on new rows.
-    pub(super) fn round(&self, round: &Round<V>, extents: &Extents, out: &mut Estimate<V>) -> Result<(), Canceled> {
+    pub(super) fn round(
+        &self,
+        Prior { guide, new_rows }: &Prior<V>,
+        round: &Round,
+        extents: &Extents,
+        out: &mut LightValues<V>,
+    ) -> Result<(), Canceled> {
+        let rows = &self.transition.new_rows;
         out.blacken(self.world.slots());
-        let known = (round.sum.samples() > 0).then(|| round.sum.mean().indirect.as_slice());
-        self.arriving(round, extents, (&self.transition.new_rows, known), out)?;
-        let bounces = self.propagate(out, round, None, &extents.source.fine)?;
+        self.straight(round, extents, rows, &mut out.direct)?;
+        self.arriving(round, extents, (rows, new_rows.as_deref()), guide.spots.as_ref(), out)?;
+        let bounces = self.propagate(self.change(out), round, &guide.aims, None, &extents.source.fine)?;
         out.add_indirect(&bounces);
         self.buffers.give(bounces);
         Ok(())
     }
 
-    /// What changes before any bounce: ΔD and S on the static rows of `extents`, light of some new rows, with what is
-    /// known of the indirect light of all. `parts`, changes on static rows and values on new rows, holds what is known
-    /// elsewhere.
+    /// Light straight from lights: ΔD on the static rows of `extents`, all of it on some new rows.
+    pub(super) fn straight(
+        &self,
+        round: &Round,
+        extents: &Extents,
+        new_rows: &[u32],
+        direct: &mut [V],
+    ) -> Result<(), Canceled> {
+        (round.begin)(Pass::Direct, 0.0);
+        self.direct.estimate(&extents.direct, &self.subset, round.samples, round.seed, self.work, direct)?;
+        self.direct_of_new_rows(round, new_rows, direct)
+    }
+
+    /// What changes before any bounce beside direct light: S on the static rows of `extents`, the indirect light of some
+    /// new rows, with what is known of that of all. `parts`, changes on static rows and values on new rows, holds direct
+    /// light and what is known elsewhere; `spots` is where to aim.
     pub(super) fn arriving(
         &self,
-        round: &Round<V>,
+        round: &Round,
         extents: &Extents,
         (new_rows, known): (&[u32], Option<&[V]>),
-        parts: &mut Estimate<V>,
+        spots: Option<&Spots>,
+        parts: &mut LightValues<V>,
     ) -> Result<(), Canceled> {
         let (world, work) = (self.world, self.work);
-        let Estimate { direct, indirect } = parts;
-        (round.begin)(Pass::Direct, 0.0);
-        self.direct.estimate(&extents.direct, &self.subset, round.samples, round.seed, work, direct)?;
-
+        let LightValues { direct, indirect, .. } = parts;
         (round.begin)(Pass::Object, 0.2);
-        self.new_rows(round, new_rows, known, direct, indirect)?;
+        self.new_rows(round, new_rows, known, spots, direct, indirect)?;
 
         (round.begin)(Pass::Source, 0.4);
-        let light = &mut *self.light.borrow_mut();
+        let mut light = self.buffers.take();
+        light.clone_from(&self.light);
         for &slot in &self.transition.new_rows {
             light[slot as usize] = direct[slot as usize] + indirect[slot as usize];
         }
-        world.validity.fill(light);
-        let maps = source::Maps { before: &self.before_total, after: light, spots: self.spots_of_light(light) };
-        self.source.estimate(&extents.source, &self.subset, &maps, round, work, direct, indirect)
+        world.validity.fill(&mut light);
+        let maps = source::Maps { before: &self.before_total, after: &light, spots };
+        self.source.estimate(&extents.source, &self.subset, &maps, round, work, direct, indirect)?;
+        self.buffers.give(light);
+        Ok(())
     }
 
-    /// Where to aim at light that is not to be missed; `light` is all of it.
-    pub(super) fn spots_of_light(&self, light: &[V]) -> Option<&Spots> {
-        self.spots.get_or_init(|| Spots::of_map(self.world, light, self.stage.guides)).as_ref()
+    /// Where to aim at light that is not to be missed, once direct light is known.
+    fn spots(&self, direct: &[V]) -> Option<Spots> {
+        let mut light = match self.transition.new_rows.is_empty() {
+            true => self.light.clone(),
+            false => self.with_direct(direct),
+        };
+        self.world.validity.fill(&mut light);
+        let spots = Spots::of_map(self.world, &light, self.stage.guides);
+        self.buffers.give(light);
+        spots
+    }
+
+    /// Old light with changed direct light on the elements that stay, direct light alone on new rows.
+    pub(super) fn with_direct(&self, direct: &[V]) -> Vec<V> {
+        let mut field = self.buffers.take();
+        self.light.par_iter().zip(direct).with_min_len(CHUNK).map(|(t, d)| *t + *d).collect_into_vec(&mut field);
+        self.transition.new_rows.iter().for_each(|&slot| field[slot as usize] = direct[slot as usize]);
+        field
     }
 
     /// Whether the change is so large beside the light that is left that a bake is the better update:
     /// what the subset gets wrong of it would show. The new rows' own light is no change.
-    pub(super) fn outgrows_the_light(&self, Estimate { direct, indirect }: &Estimate<V>) -> bool {
-        let (areas, guides, light) = (self.world.areas(), self.stage.guides, self.light.borrow());
+    pub(super) fn outgrows_the_light(&self, LightValues { direct, indirect, .. }: &LightValues<V>) -> bool {
+        let (areas, guides, light) = (self.world.areas(), self.stage.guides, &self.light);
         let (mut change, mut left) = (0.0f64, 0.0f64);
         for &slot in &self.static_rows {
             let slot = slot as usize;
@@ -201,11 +272,6 @@ impl<'a, V: Value> Updater<'a, V> {
         let mut flags = vec![false; self.world.slots()];
         self.transition.new_rows.iter().for_each(|&slot| flags[slot as usize] = true);
         flags
-    }
-
-    /// Old values plus the mean change on static rows, mean values on new rows.
-    pub(super) fn compose(&self, sum: &Accumulator<V>) -> Stack<V> {
-        Stack::of_mean(sum, Some(self.old()), &self.world.validity)
     }
 
     /// The map of what lies side by side.

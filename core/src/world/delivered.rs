@@ -31,11 +31,11 @@ impl World {
             values
         };
         match part {
-            LightPart::Direct => positive(&map.direct),
-            LightPart::Indirect => positive(&map.indirect),
+            LightPart::Direct => positive(&map.light.direct),
+            LightPart::Indirect => positive(&map.light.indirect),
             LightPart::Full => {
-                let mut sum = positive(&map.direct);
-                sum.iter_mut().zip(positive(&map.indirect)).for_each(|(sum, indirect)| *sum += indirect);
+                let mut sum = positive(&map.light.direct);
+                sum.iter_mut().zip(positive(&map.light.indirect)).for_each(|(sum, indirect)| *sum += indirect);
                 sum
             }
         }
@@ -202,14 +202,14 @@ mod tests {
     fn direct_and_indirect_light_add_up_to_what_is_delivered() {
         let (world, mut rng) = (world(), Pcg32::new(5, 3));
         let mut map = LightMap::black(world.slots());
-        map.direct.iter_mut().for_each(|value| *value = Vec3::splat(rng.next_f32() - 0.3));
-        map.indirect.iter_mut().for_each(|value| *value = Vec3::splat(rng.next_f32() - 0.2));
+        map.light.direct.iter_mut().for_each(|value| *value = Vec3::splat(rng.next_f32() - 0.3));
+        map.light.indirect.iter_mut().for_each(|value| *value = Vec3::splat(rng.next_f32() - 0.2));
         let part = |part| world.delivered(&map, part);
         let [full, direct, indirect] = [LightPart::Full, LightPart::Direct, LightPart::Indirect].map(part);
         assert!(full.iter().all(|value| value.min_element() >= 0.0));
         assert!((0..world.slots()).all(|slot| full[slot] == direct[slot] + indirect[slot]));
         // Layers are delivered as they are, and so is their sum.
         map.layers.push(Arc::default());
-        assert_eq!(world.delivered(&map, LightPart::Direct), map.direct);
+        assert_eq!(world.delivered(&map, LightPart::Direct), map.light.direct);
     }
 }

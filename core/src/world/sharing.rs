@@ -6,6 +6,7 @@ use glam::{DMat4, DVec3, Vec3};
 
 use super::{World, WorldOptions};
 use crate::edit::Edit;
+use crate::lightmap::LightMap;
 use crate::scene::{Material, Mesh, Object, Scene};
 
 /// A floor of some 40,000 elements with boxes on it, one of which leans into the next.
@@ -55,4 +56,15 @@ fn edits_of_lights_and_albedos_copy_no_element() {
     let after = before.apply(&[paint]).unwrap().after;
     assert!(after.space.has_slots_of(&before.space));
     assert!(Arc::ptr_eq(&after.validity, &before.validity));
+}
+
+#[test]
+fn a_map_is_carried_over_as_it_is_where_slots_stay() {
+    let before = world();
+    let map = Arc::new(LightMap::black(before.slots()));
+    let paint = Edit::Material { object: "floor".into(), albedo: Vec3::splat(0.2) };
+    assert!(Arc::ptr_eq(&before.apply(&[paint]).unwrap().carried(&map), &map));
+    let transition = before.apply(&[Edit::Remove { objects: vec!["box 1".into()] }]).unwrap();
+    let carried = transition.carried(&map);
+    assert!(!Arc::ptr_eq(&carried, &map) && carried.len() == transition.after.slots());
 }

@@ -7,7 +7,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::{Placed, Trees, World, build};
-use crate::lightmap::{Layer, LightMap};
+use crate::lightmap::{Layer, LightMap, LightValues};
 use crate::space::{NO_OBJECT, Part};
 
 /// Slots per task.
@@ -47,22 +47,23 @@ impl std::fmt::Debug for Transition {
 impl Transition {
     /// The old map in the slots of the new world: old values where elements stay, zero where they go or come.
     pub fn carry_over(&self, map: &LightMap) -> LightMap {
+        let carry = |light: &LightValues| LightValues {
+            direct: self.carry(&light.direct),
+            indirect: self.carry(&light.indirect),
+            variance: self.carry(&light.variance),
+        };
         let layer = |layer: &Arc<Layer>| {
-            Arc::new(Layer {
-                name: layer.name.clone(),
-                lights: layer.lights.clone(),
-                direct: self.carry(&layer.direct),
-                indirect: self.carry(&layer.indirect),
-                variance: self.carry(&layer.variance),
-            })
+            let (name, lights) = (layer.name.clone(), layer.lights.clone());
+            Arc::new(Layer { name, lights, light: carry(&layer.light) })
         };
         let layers = if self.keeps_slots() { map.layers.clone() } else { map.layers.iter().map(layer).collect() };
-        LightMap {
-            direct: self.carry(&map.direct),
-            indirect: self.carry(&map.indirect),
-            variance: self.carry(&map.variance),
-            layers,
-        }
+        LightMap { light: carry(&map.light), layers }
+    }
+
+    /// The map of [`Transition::carry_over`]: the old one itself where every slot keeps its element, as by edits of lights and
+    /// albedos.
+    pub fn carried(&self, map: &Arc<LightMap>) -> Arc<LightMap> {
+        if self.keeps_slots() { Arc::clone(map) } else { Arc::new(self.carry_over(map)) }
     }
 
     /// Slots of the new world whose elements get no light of their own by [`Transition::carry_over`]: those of objects that

@@ -12,6 +12,7 @@ use super::buried::{depth_towards, is_inside};
 use super::sight::overlap;
 use super::{Placed, Trees, World};
 use crate::bits::Bits;
+use crate::lightmap::LightValues;
 use crate::value::Value;
 
 /// Which elements cannot be computed, and where their values come from.
@@ -209,6 +210,13 @@ impl Validity {
             let sum: V = fill.sources.iter().map(|&s| values[s as usize]).sum();
             values[fill.target as usize] = sum / fill.sources.len() as f32;
         }
+    }
+
+    /// Gives invalid slots the light of their neighbours, and its variance.
+    pub(crate) fn fill_light<V: Value>(&self, light: &mut LightValues<V>) {
+        self.fill(&mut light.direct);
+        self.fill(&mut light.indirect);
+        self.fill_scalars(&mut light.variance, 1);
     }
 
     /// Gives invalid slots the means of their neighbours' scalars, of which every slot has `per_slot` side by side.

@@ -126,7 +126,7 @@ fn traced(
     let (values, _) = path_trace(world, &slots, samples, seed ^ 0x5eed_0003_0000_0000, &Unobserved)?;
     let mut map = elsewhere.map_or_else(|| LightMap::black(world.slots()), |map| map.resized(world.slots()));
     for (slot, value) in slots.into_iter().zip(values) {
-        (map.direct[slot as usize], map.indirect[slot as usize]) = (value.direct, value.indirect);
+        (map.light.direct[slot as usize], map.light.indirect[slot as usize]) = (value.direct, value.indirect);
     }
     Ok(map)
 }
@@ -178,7 +178,7 @@ impl Gallery {
             .map(|s| {
                 let change = match mode {
                     Mode::Full => change_of((old, base), (world, &s.map), LightMap::total),
-                    Mode::Indirect => change_of((old, base), (world, &s.map), |map, slot| map.indirect[slot]),
+                    Mode::Indirect => change_of((old, base), (world, &s.map), |map, slot| map.light.indirect[slot]),
                 };
                 Ok(render_values(world, &change, &eye.viewpoint, eye.options, &Unobserved)?)
             })

@@ -251,8 +251,8 @@ fn trace_whole(world: &World, goal: Goal, seed: u64) -> Timed {
         let weight = count as f32 / (total + count) as f32;
         for (&slot, t) in slots.iter().zip(&traced) {
             let slot = slot as usize;
-            map.direct[slot] = map.direct[slot].lerp(t.direct, weight);
-            map.indirect[slot] = map.indirect[slot].lerp(t.indirect, weight);
+            map.light.direct[slot] = map.light.direct[slot].lerp(t.direct, weight);
+            map.light.indirect[slot] = map.light.indirect[slot].lerp(t.indirect, weight);
         }
         total += count;
     }

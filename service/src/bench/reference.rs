@@ -46,7 +46,7 @@ impl Measured {
 fn value(map: &LightMap, slot: usize, mode: Mode) -> DVec3 {
     match mode {
         Mode::Full => map.total(slot).as_dvec3(),
-        Mode::Indirect => map.indirect[slot].as_dvec3(),
+        Mode::Indirect => map.light.indirect[slot].as_dvec3(),
     }
 }
 
@@ -96,8 +96,8 @@ impl Reference {
             let mut past = past.slots.iter().zip(&past.halves[half]).peekable();
             let shift = |(&slot, truth): (&u32, &PathTraced)| match past.next_if(|(kept, _)| **kept == slot) {
                 Some((_, then)) => PathTraced {
-                    direct: truth.direct - then.direct + base.direct[slot as usize],
-                    indirect: truth.indirect - then.indirect + base.indirect[slot as usize],
+                    direct: truth.direct - then.direct + base.light.direct[slot as usize],
+                    indirect: truth.indirect - then.indirect + base.light.indirect[slot as usize],
                     ..*truth
                 },
                 None => *truth,
@@ -206,6 +206,7 @@ fn draw(world: &World, count: usize, is_wanted: impl Fn(usize) -> bool) -> Vec<u
 #[cfg(test)]
 mod tests {
     use glam::Vec3;
+    use rebake_core::LightValues;
     use rebake_core::random::Pcg32;
 
     use super::*;
@@ -224,8 +225,8 @@ mod tests {
             values.into_iter().map(|indirect| PathTraced { indirect, ..PathTraced::default() }).collect()
         };
         let halves = [half(), half()];
-        let maps: Vec<LightMap> =
-            (0..3).map(|_| LightMap { indirect: noisy(1.02, 0.1), ..LightMap::black(n) }).collect();
+        let light = |indirect| LightValues { indirect, ..LightValues::black(n) };
+        let maps: Vec<LightMap> = (0..3).map(|_| LightMap::from(light(noisy(1.02, 0.1)))).collect();
         let reference = Reference { slots: (0..n as u32).collect(), samples: 2, halves };
         let error = reference.mean_square_error(&maps[0], Mode::Indirect);
         let bias = reference.mean_square_bias(&maps.iter().collect::<Vec<_>>(), Mode::Indirect).expect("three runs");
@@ -254,7 +255,8 @@ mod tests {
         let asset = Scene::from_objects(vec![quad("far", -3.0, white)]).into();
         let insert = Edit::Insert { asset, name: "far".into(), transform: glam::DMat4::IDENTITY };
         let transition = before.apply(&[insert]).expect("an insert");
-        let wrong = LightMap { indirect: vec![Vec3::splat(7.0); before.slots()], ..LightMap::black(before.slots()) };
+        let mut wrong = LightMap::black(before.slots());
+        wrong.light.indirect.fill(Vec3::splat(7.0));
         let mut map = transition.carry_over(&wrong);
         let far = transition.after.objects().find(|object| object.name == "far").map(|object| object.first_element);
         let is_far = |slot: usize| slot >= far.expect("the new object") as usize;
@@ -262,12 +264,12 @@ mod tests {
         let truth = Reference::trace(after, 200, 64, 3);
         let given = truth.given(&map, &before, after, 3);
         // The far floor hides nothing from the other and is hidden by it: the lamp does not reach it.
-        map.indirect.iter_mut().enumerate().filter(|(slot, _)| is_far(*slot)).for_each(|(_, i)| *i = Vec3::ZERO);
+        map.light.indirect.iter_mut().enumerate().filter(|(slot, _)| is_far(*slot)).for_each(|(_, i)| *i = Vec3::ZERO);
         let square = |truth: &Reference, map: &LightMap| truth.mean_square_error(map, Mode::Indirect).mean;
         assert!(square(&truth, &map) > 1.0, "the old map is wrong");
         let of_far = square(&given, &map);
         assert!(of_far.abs() < 1e-4, "{of_far}");
-        map.indirect.iter_mut().for_each(|i| *i += 0.5);
+        map.light.indirect.iter_mut().for_each(|i| *i += 0.5);
         let shifted = square(&given, &map);
         assert!((shifted - 0.25).abs() < 1e-2, "{shifted}");
     }

@@ -122,9 +122,10 @@ pub fn run_study(
 
 /// Published values as a light map, all of it in the part that `mode` measures.
 pub(super) fn as_map(values: Vec<Vec3>, mode: Mode) -> LightMap {
-    let black = LightMap::black(values.len());
+    let mut map = LightMap::black(values.len());
     match mode {
-        Mode::Full => LightMap { direct: values, ..black },
-        Mode::Indirect => LightMap { indirect: values, ..black },
+        Mode::Full => map.light.direct = values,
+        Mode::Indirect => map.light.indirect = values,
     }
+    map
 }

@@ -132,7 +132,10 @@ pub(crate) fn layers_exr(layers: &[Arc<Layer>], about: &[(&str, &str)]) -> Resul
         .collect();
     let mut channels: Vec<(&str, &[Vec3])> = Vec::new();
     for ([direct, indirect], layer) in names.iter().zip(layers) {
-        channels.extend([(direct.as_str(), layer.direct.as_slice()), (indirect.as_str(), layer.indirect.as_slice())]);
+        channels.extend([
+            (direct.as_str(), layer.light.direct.as_slice()),
+            (indirect.as_str(), layer.light.indirect.as_slice()),
+        ]);
     }
     write_exr(&channels, EXR_WIDTH, about).map_err(|error| error.to_string())
 }

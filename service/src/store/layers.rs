@@ -55,12 +55,12 @@ impl PublishedLayer {
     }
 
     fn new(layer: &Arc<Layer>, weight: Vec3, version: u64) -> PublishedLayer {
-        let changed = vec![version; layer.direct.len()].into();
+        let changed = vec![version; layer.light.len()].into();
         PublishedLayer { layer: layer.clone(), weight, born: version, changed }
     }
 
     fn changed_by(&self, layer: &Layer, part: Part, version: u64) -> Arc<[u64]> {
-        let (old, new) = (values(&self.layer, part), values(layer, part));
+        let (old, new) = (self.layer.light.part(part), layer.light.part(part));
         let since = |slot: usize| match old.get(slot) {
             Some(value) if same_bits(*value, new[slot]) => self.changed[slot],
             _ => version,
@@ -70,7 +70,7 @@ impl PublishedLayer {
 
     /// One value per slot, at reference strengths.
     pub(crate) fn values(&self, part: Part) -> Cow<'_, [Vec3]> {
-        values(&self.layer, part)
+        self.layer.light.part(part)
     }
 
     /// What a client lacks that has the layer's values (of the `part` that is published) at version `since`; everything
@@ -85,27 +85,21 @@ impl PublishedLayer {
 
     /// Bytes of the values and what is kept beside them.
     pub(crate) fn memory_bytes(&self) -> usize {
-        self.layer.direct.len() * LAYER_BYTES
-    }
-}
-
-fn values(layer: &Layer, part: Part) -> Cow<'_, [Vec3]> {
-    match part {
-        Part::Full => layer.direct.iter().zip(&layer.indirect).map(|(direct, indirect)| *direct + *indirect).collect(),
-        Part::Direct => layer.direct.as_slice().into(),
-        Part::Indirect => layer.indirect.as_slice().into(),
+        self.layer.light.len() * LAYER_BYTES
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::engine::LightValues;
 
     fn map(layers: &[(&str, Vec<f32>)]) -> LightMap {
         let layer = |(name, values): &(&str, Vec<f32>)| {
             let direct: Vec<Vec3> = values.iter().map(|x| Vec3::splat(*x)).collect();
             let (indirect, variance) = (vec![Vec3::ONE; direct.len()], vec![0.0; direct.len()]);
-            Arc::new(Layer { name: (*name).to_owned(), direct, indirect, variance, ..Layer::default() })
+            let light = LightValues { direct, indirect, variance };
+            Arc::new(Layer { name: (*name).to_owned(), light, ..Layer::default() })
         };
         LightMap { layers: layers.iter().map(layer).collect(), ..LightMap::default() }
     }

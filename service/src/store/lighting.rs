@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 
 use super::records::LightRecord;
 use super::versions::{Published, Unknown};
-use crate::engine::{Edit, LightMap, Transition, World, carry_over};
+use crate::engine::{Edit, LightMap, Transition, World};
 use crate::jobs::budget::JobBudget;
 
 /// Sequence number of an accepted edit request; 0 is the scene as uploaded.
@@ -172,7 +172,7 @@ impl Lighting {
         let mut map = published.map.clone();
         let (mut world, mut unknown) = (None, published.unknown().clone());
         for (_, unlit) in self.unlit.range((Excluded(self.shown_sequence), Included(sequence))) {
-            map = carry_over(&unlit.transition, &map);
+            map = unlit.transition.carried(&map);
             unknown = unknown_after(&unlit.transition, unknown);
             world = Some(unlit.transition.after.clone());
         }
@@ -210,7 +210,7 @@ impl Lighting {
         let mut map = lit.map.clone();
         let (mut scene, mut unknown) = (None, None);
         for (_, unlit) in self.unlit.range((Excluded(sequence), Included(self.shown_sequence))) {
-            map = carry_over(&unlit.transition, &map);
+            map = unlit.transition.carried(&map);
             unknown = unknown_after(&unlit.transition, unknown);
             scene.get_or_insert(&unlit.transition.before.scene);
         }

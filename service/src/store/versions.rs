@@ -290,7 +290,7 @@ impl Published {
         match wanted {
             Wanted::Light(part) if part == self.mode.part() => self.values().into(),
             Wanted::Light(part) => self.world.delivered(&self.map, part).into(),
-            Wanted::Error => self.errors(&self.map.variance).into(),
+            Wanted::Error => self.errors(&self.map.light.variance).into(),
         }
     }
 
@@ -299,7 +299,7 @@ impl Published {
         let layer = self.layer(name)?;
         Some(match wanted {
             Wanted::Light(part) => layer.values(part),
-            Wanted::Error => self.errors(&layer.layer.variance).into(),
+            Wanted::Error => self.errors(&layer.layer.light.variance).into(),
         })
     }
 

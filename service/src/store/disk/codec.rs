@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use glam::Vec3;
-use rebake_core::layers::{Layer, LayerLight};
+use rebake_core::layers::{Layer, LayerLight, LightValues};
 
 use crate::engine::LightMap;
 
@@ -20,7 +20,7 @@ pub(super) fn encode_map(map: &LightMap) -> Vec<u8> {
     bytes.extend_from_slice(MAGIC);
     bytes.extend_from_slice(&(map.len() as u64).to_le_bytes());
     put_count(&mut bytes, map.layers.len());
-    put_values(&mut bytes, &map.direct, &map.indirect, &map.variance);
+    put_values(&mut bytes, &map.light);
     for layer in &map.layers {
         put_name(&mut bytes, &layer.name);
         put_count(&mut bytes, layer.lights.len());
@@ -28,7 +28,7 @@ pub(super) fn encode_map(map: &LightMap) -> Vec<u8> {
             put_name(&mut bytes, &light.name);
             put_vec3s(&mut bytes, &[light.reference]);
         }
-        put_values(&mut bytes, &layer.direct, &layer.indirect, &layer.variance);
+        put_values(&mut bytes, &layer.light);
     }
     bytes
 }
@@ -48,10 +48,10 @@ fn put_vec3s(bytes: &mut Vec<u8>, values: &[Vec3]) {
     }
 }
 
-fn put_values(bytes: &mut Vec<u8>, direct: &[Vec3], indirect: &[Vec3], variance: &[f32]) {
-    put_vec3s(bytes, direct);
-    put_vec3s(bytes, indirect);
-    variance.iter().for_each(|x| bytes.extend_from_slice(&x.to_le_bytes()));
+fn put_values(bytes: &mut Vec<u8>, light: &LightValues) {
+    put_vec3s(bytes, &light.direct);
+    put_vec3s(bytes, &light.indirect);
+    light.variance.iter().for_each(|x| bytes.extend_from_slice(&x.to_le_bytes()));
 }
 
 /// The map of some bytes; none where they are not one.
@@ -63,10 +63,10 @@ pub(super) fn decode_map(bytes: &[u8]) -> Option<LightMap> {
     let mut reader = Reader { rest };
     let len = usize::try_from(u64::from_le_bytes(*reader.chunk::<8>()?)).ok()?;
     let count = if has_layers { reader.count()? } else { 0 };
-    let (direct, indirect, variance) = reader.values(len)?;
+    let light = reader.values(len)?;
     // A count that lies ends with the bytes.
     let layers = (0..count).map(|_| reader.layer(len).map(Arc::new)).collect::<Option<_>>()?;
-    reader.rest.is_empty().then_some(LightMap { direct, indirect, variance, layers })
+    reader.rest.is_empty().then_some(LightMap { light, layers })
 }
 
 struct Reader<'a> {
@@ -103,16 +103,16 @@ impl Reader<'_> {
         let name = self.name()?;
         let lights = (0..self.count()?).map(|_| Some(LayerLight { name: self.name()?, reference: self.vec3()? }));
         let lights = lights.collect::<Option<_>>()?;
-        let (direct, indirect, variance) = self.values(len)?;
-        Some(Layer { name, lights, direct, indirect, variance })
+        Some(Layer { name, lights, light: self.values(len)? })
     }
 
     /// Direct, indirect and variance of `len` slots.
-    fn values(&mut self, len: usize) -> Option<(Vec<Vec3>, Vec<Vec3>, Vec<f32>)> {
+    fn values(&mut self, len: usize) -> Option<LightValues> {
         let bytes = self.bytes(len.checked_mul(BYTES_PER_SLOT)?)?;
         let (vectors, variance) = bytes.split_at(len * 24);
         let (direct, indirect) = vectors.split_at(len * 12);
-        Some((vec3s(direct), vec3s(indirect), floats(variance).collect()))
+        let (direct, indirect) = (vec3s(direct), vec3s(indirect));
+        Some(LightValues { direct, indirect, variance: floats(variance).collect() })
     }
 }
 
@@ -149,24 +149,26 @@ mod tests {
     /// Three slots with what JSON or arithmetic would lose.
     fn odd_map() -> LightMap {
         let mut map = LightMap::black(3);
-        map.direct[1] = Vec3::new(1.0, -0.0, f32::MIN_POSITIVE);
-        map.indirect[2] = Vec3::new(f32::INFINITY, 2.0, 3.0);
-        map.variance[0] = 0.5;
+        map.light.direct[1] = Vec3::new(1.0, -0.0, f32::MIN_POSITIVE);
+        map.light.indirect[2] = Vec3::new(f32::INFINITY, 2.0, 3.0);
+        map.light.variance[0] = 0.5;
         map
     }
 
     #[test]
     fn maps_come_back_bit_for_bit_with_their_layers() {
         let mut map = odd_map();
-        let part = odd_map();
+        let part = odd_map().light;
         for (name, lights) in [("Lampe über dem Tisch", &["a", "b"][..]), ("", &[])] {
             let light = |name: &&str| LayerLight { name: (*name).to_owned(), reference: Vec3::new(1.0, 0.0, 1e-30) };
             map.layers.push(Arc::new(Layer {
                 name: name.to_owned(),
                 lights: lights.iter().map(light).collect(),
-                direct: part.indirect.clone(),
-                indirect: part.direct.clone(),
-                variance: vec![0.1, 0.2, 0.3],
+                light: LightValues {
+                    direct: part.indirect.clone(),
+                    indirect: part.direct.clone(),
+                    variance: vec![0.1, 0.2, 0.3],
+                },
             }));
         }
         for layers in [0, 1, 2] {
@@ -174,8 +176,8 @@ mod tests {
             map.layers.truncate(layers);
             let bytes = encode_map(&map);
             let back = decode_map(&bytes).unwrap();
-            assert!(back == map && back.direct[1].y.is_sign_negative());
-            assert!(back.layers.iter().all(|layer| layer.indirect[1].y.is_sign_negative()));
+            assert!(back == map && back.light.direct[1].y.is_sign_negative());
+            assert!(back.layers.iter().all(|layer| layer.light.indirect[1].y.is_sign_negative()));
             for cut in 0..bytes.len() {
                 assert!(decode_map(&bytes[..cut]).is_none(), "{layers} layers, {cut} bytes");
             }
