@@ -24,15 +24,12 @@ mod importance;
 pub mod job;
 pub mod layers;
 pub mod lightmap;
-mod memory;
 pub mod metrics;
 #[cfg(test)]
 mod module_graph;
 pub mod occlusion;
 mod order;
-pub mod paper;
 mod parts;
-pub mod path;
 pub mod points;
 pub mod probes;
 pub mod random;
@@ -47,7 +44,7 @@ mod space;
 pub mod surface;
 pub mod texels;
 mod tiles;
-mod transport;
+pub mod transport;
 mod update;
 mod value;
 mod world;
@@ -60,8 +57,10 @@ pub use focus::Focus;
 pub use importance::{Importance, TileMode, Tiles};
 pub use job::{Budget, Canceled, Observer, Pass, Progress, Snapshot, Unobserved};
 pub use lightmap::{LightMap, LightPart};
-pub use memory::keep_freed_memory;
 pub use refine::refine;
-pub use space::{Density, NO_OBJECT, object_areas};
+pub use space::{Density, Footprint, NO_OBJECT, Placement, object_areas};
 pub use update::update;
-pub use world::{LightInfo, ObjectInfo, Stated, Transition, Trees, World, WorldError, WorldOptions};
+pub use world::{
+    Emitter, LightInfo, LightSample, ObjectInfo, Placed, Stated, Transition, Trees, Validity, World, WorldError,
+    WorldOptions, arriving, visible_light,
+};

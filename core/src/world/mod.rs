@@ -1,6 +1,7 @@
 //! A scene made ready for transport: surfaces, elements, trees, emitters. Immutable; an edit makes the next one
 //! ([`World::apply`]) and shares with it all that did not change.
 
+mod apart;
 mod apply;
 mod arriving;
 mod build;
@@ -30,11 +31,13 @@ pub use info::{LightInfo, ObjectInfo};
 pub use transition::Transition;
 pub use trees::Trees;
 
-pub(crate) use arriving::{arriving, arriving_in_space, arriving_on_side, visible_light};
+pub use arriving::{arriving, visible_light};
+pub(crate) use arriving::{arriving_in_space, arriving_on_side};
 pub(crate) use coarse::Coarse;
-pub(crate) use emitters::{Emitter, Emitters, Shape, sky};
+pub use emitters::{Emitter, LightSample};
+pub(crate) use emitters::{Emitters, Shape, sky};
 pub(crate) use sight::Hidden;
-pub(crate) use validity::Validity;
+pub use validity::Validity;
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -142,19 +145,19 @@ pub enum WorldError {
 
 /// One object, subdivided and placed.
 #[derive(Debug)]
-pub(crate) struct Placed {
+pub struct Placed {
     /// Never used again within a scene's life.
     pub key: u32,
     /// The triangles of the file, in scene space.
     pub surface: Arc<Surface>,
     /// Its triangles that let light through, where there are any.
-    pub see_through: Option<Arc<SeeThrough>>,
+    pub(crate) see_through: Option<Arc<SeeThrough>>,
     /// Per material, where its emission varies: what shines. Empty where none does.
-    pub facets: Vec<Option<Arc<Facets>>>,
+    pub(crate) facets: Vec<Option<Arc<Facets>>>,
     /// How its elements are laid out.
-    pub layout: Arc<Layout>,
+    pub(crate) layout: Arc<Layout>,
     /// Subset for smooth light, over the front's elements.
-    pub coarse: Arc<Coarse>,
+    pub(crate) coarse: Arc<Coarse>,
     /// Slots.
     pub placement: Placement,
     /// The back has elements of its own.
@@ -342,7 +345,7 @@ impl World {
 
     /// Where rays of an element start.
     #[inline]
-    pub(crate) fn ray_origin(&self, slot: usize) -> (Vec3, Vec3) {
+    pub fn ray_origin(&self, slot: usize) -> (Vec3, Vec3) {
         let n = self.normals()[slot];
         (self.positions()[slot] + n * self.space.slots().offset(slot), n)
     }
