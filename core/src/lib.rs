@@ -4,10 +4,12 @@
 //! and seed give the same bits on any number of threads.
 
 mod accumulate;
+pub mod allowed;
 mod ambient;
 pub mod atlas;
 mod bake;
 mod bits;
+
 pub mod bvh;
 mod chunks;
 pub mod delta;

@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use jiff::Timestamp;
+use rebake_core::allowed::Allowed;
 
 use crate::api::{edit_parse, skies};
 use crate::engine::{self, AtlasOptions, Edit, World};
@@ -199,7 +200,7 @@ fn replay(
             return Err(failed("an earlier one is missing".to_owned()));
         }
         let (edits, turn) = read_edits(app, &saved.body, &replayed.history).map_err(failed)?;
-        let transition = replayed.world.apply(&edits).map_err(|error| failed(error.to_string()))?;
+        let transition = replayed.world.apply_again(&edits).map_err(|error| failed(error.to_string()))?;
         let (body, job, accepted_at) = (saved.body.clone().into(), saved.job, saved.accepted_at);
         let accepted = history::Accepted { body, job, accepted_at, turn: None, is_undone: false };
         replayed.history.accept(accepted, turn, (&replayed.world.scene, &transition.after.scene));
@@ -228,7 +229,7 @@ impl Replayed {
 
 fn read_edits(app: &App, body: &[u8], history: &History) -> Result<(Vec<Edit>, Option<Turn>), String> {
     let parsed = edit_parse::parse(body, usize::MAX).map_err(|problem| problem.to_string())?;
-    let edits = edit_parse::to_edits(&parsed, &app.assets, history, usize::MAX);
+    let edits = edit_parse::to_edits(&parsed, &app.assets, history, Allowed::KEPT);
     Ok((edits.map_err(|problem| problem.to_string())?, parsed.turn()))
 }
 

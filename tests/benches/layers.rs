@@ -187,7 +187,7 @@ fn drag(world: &World) {
     let mut seconds = Vec::new();
     for k in 0..20 {
         let position = Some(DVec3::new(1.0 + 0.2 * f64::from(k), 1.2, 2.0));
-        let step = Edit::MoveLight { light: "bulb".into(), position, direction: None, drag: false };
+        let step = Edit::MoveLight { light: "bulb".into(), position, direction: None, own_layer: false };
         let (time, frame) = timed(|| {
             let transition = world.apply(&[step]).expect("a move");
             basis.frame(&transition, &map, 1, &Unobserved).expect("nobody cancels")

@@ -7,32 +7,52 @@ use std::sync::Arc;
 use glam::{DMat4, Vec3};
 
 use super::build;
-use super::check::{check_kind, check_strength, check_transform, error, invalid, unknown};
+use super::check::{check_kind, check_name, check_relit, check_strength, check_transform, error, invalid, unknown};
 use super::motion::{is_rigid, move_light, transformed_light};
 use super::openings::Openings;
 use super::{Placed, Transition, Trees, Validity, World, WorldError, probe};
+use crate::allowed::Allowed;
 use crate::atlas::Atlas;
 use crate::bvh::{BuildQuality, Bvh};
 use crate::edit::{Edit, EditError, EditErrorKind, Lights, name_matches};
 use crate::scene::{Light, LightKind, Object, Scene, merge_as_object};
 
 impl World {
-    /// Applies edits as a unit. On an error nothing has changed and the error names the field at fault.
+    /// Applies edits as a unit.
+    ///
+    /// # Errors
+    /// [`EditError`], which names the field at fault; nothing has changed then.
     pub fn apply(&self, edits: &[Edit]) -> Result<Transition, EditError> {
+        let draft = self.drafted(edits, Allowed::ASKED)?;
+        check_relit(Allowed::ASKED, edits, &draft.world.scene.lights)?;
+        draft.finish(self)
+    }
+
+    /// Applies edits that were accepted once: names and strengths may be what [`Allowed::KEPT`] says.
+    ///
+    /// # Errors
+    /// [`EditError`], which names the field at fault.
+    pub fn apply_again(&self, edits: &[Edit]) -> Result<Transition, EditError> {
+        self.drafted(edits, Allowed::KEPT)?.finish(self)
+    }
+
+    fn drafted(&self, edits: &[Edit], allowed: Allowed) -> Result<Draft, EditError> {
         if edits.is_empty() {
             return Err(error("edits", "is empty", EditErrorKind::Invalid));
         }
-        let mut draft = Draft::new(self);
+        let mut draft = Draft::new(self, allowed);
         for (i, edit) in edits.iter().enumerate() {
             draft.apply(edit).map_err(|e| EditError { field: format!("edits[{i}].{}", e.field), ..e })?;
         }
-        draft.finish(self)
+        Ok(draft)
     }
 }
 
 /// A world under construction.
 pub(super) struct Draft {
     pub(super) world: World,
+    /// What names and strengths may be.
+    pub(super) allowed: Allowed,
     /// Objects of the old world whose geometry is there no more, as they were.
     gone: BTreeMap<u32, Arc<Placed>>,
     /// Keys of objects whose geometry is new.
@@ -42,8 +62,8 @@ pub(super) struct Draft {
 }
 
 impl Draft {
-    fn new(world: &World) -> Draft {
-        Draft { world: world.clone(), gone: BTreeMap::new(), come: BTreeSet::new(), touched: Vec::new() }
+    fn new(world: &World, allowed: Allowed) -> Draft {
+        Draft { world: world.clone(), allowed, gone: BTreeMap::new(), come: BTreeSet::new(), touched: Vec::new() }
     }
 
     /// The scene, to be changed.
@@ -64,7 +84,7 @@ impl Draft {
                 let (mut object, lights) = merge_as_object(asset, name);
                 object.world_from_object = *transform;
                 for light in lights {
-                    self.check_free_light(&light.name)?;
+                    self.check_free_light(&light.name, Allowed::KEPT)?;
                     self.scene_mut().light_parents.insert(light.name.clone(), name.clone());
                     self.scene_mut().lights.push(transformed_light(light, transform));
                 }
@@ -90,8 +110,8 @@ impl Draft {
                 self.relight(r).map_err(|e| EditError { field: format!("lights[{k}].{}", e.field), ..e })
             }),
             Edit::InsertLight { name, kind, color, intensity } => {
-                self.check_free_light(name)?;
-                check_strength(Some(*color), Some(*intensity))?;
+                self.check_free_light(name, self.allowed)?;
+                check_strength(self.allowed, Some(*color), Some(*intensity))?;
                 if matches!(kind, LightKind::Emissive { .. }) {
                     return Err(invalid("light.kind", "an emissive surface is inserted as an object"));
                 }
@@ -107,9 +127,9 @@ impl Draft {
                 self.scene_mut().light_parents.remove(light);
                 Ok(())
             }
-            Edit::MoveLight { light, position, direction, drag } => {
+            Edit::MoveLight { light, position, direction, own_layer } => {
                 let index = self.light_index("light", light)?;
-                if *drag {
+                if *own_layer {
                     self.set_apart(light);
                 }
                 move_light(&mut self.scene_mut().lights[index].kind, *position, *direction)
@@ -154,19 +174,15 @@ impl Draft {
     }
 
     pub(super) fn check_free_name(&self, name: &str) -> Result<(), EditError> {
-        if name.is_empty() || name.len() > 256 {
-            return Err(invalid("name", "must have 1 to 256 bytes"));
-        }
+        check_name(self.allowed, name)?;
         if self.world.scene.objects.iter().any(|o| o.name == name) {
             return Err(error("name", format!("there is an object named {name:?} already"), EditErrorKind::Conflict));
         }
         Ok(())
     }
 
-    fn check_free_light(&self, name: &str) -> Result<(), EditError> {
-        if name.is_empty() || name.len() > 256 {
-            return Err(invalid("name", "must have 1 to 256 bytes"));
-        }
+    fn check_free_light(&self, name: &str, allowed: Allowed) -> Result<(), EditError> {
+        check_name(allowed, name)?;
         let Scene { lights, hidden_lights, .. } = &*self.world.scene;
         let hidden = hidden_lights.values().flatten().map(|hidden| &hidden.light);
         if lights.iter().chain(hidden).any(|l| l.name == name) {

@@ -111,9 +111,9 @@ impl Default for WorldOptions {
 /// Why a scene cannot be made ready.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum WorldError {
-    /// `spacing` is not a finite positive number.
-    #[error("spacing: must be a finite number above 0, not {0}")]
-    Spacing(f32),
+    /// `spacing` is none that elements may have.
+    #[error("spacing: {0}")]
+    Spacing(String),
     /// The squares that an object may have are none.
     #[error("object_squares: must be a number above 0, not {0}")]
     ObjectSquares(f64),
