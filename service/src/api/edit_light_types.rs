@@ -44,13 +44,13 @@ tagged! {
     /// A light to add.
     pub enum NewLight by "kind" {
         /// Shines in all directions.
-        "point" Point(PointLight),
+        Point(PointLight) = "point",
         /// Shines in a cone.
-        "spot" Spot(SpotLight),
+        Spot(SpotLight) = "spot",
         /// Shines from afar.
-        "directional" Directional(DirectionalLight),
+        Directional(DirectionalLight) = "directional",
         /// Constant radiance from outside.
-        "environment" Environment(EnvironmentLight),
+        Environment(EnvironmentLight) = "environment",
     }
 }
 

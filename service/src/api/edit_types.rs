@@ -100,33 +100,33 @@ tagged! {
     /// What to change.
     pub enum EditOp by "op" {
         /// Puts an asset into the scene.
-        "insert" Insert(Insert),
+        Insert(Insert) = "insert",
         /// Takes objects out.
-        "remove" Remove(Remove),
+        Remove(Remove) = "remove",
         /// Gives an object a new place.
-        "move" Move(Move),
+        Move(Move) = "move",
         /// Repaints an object, or a material.
-        "material" Material(Repaint),
+        Material(Repaint) = "material",
         /// Takes objects out of the light, to come back later.
-        "hide" Hide(Hide),
+        Hide(Hide) = "hide",
         /// Brings hidden objects back.
-        "show" Show(Show),
+        Show(Show) = "show",
         /// Takes the last edit request back that was not taken back yet; stands alone in its request.
-        "undo" Undo(Undo),
+        Undo(Undo) = "undo",
         /// Makes the last edit request that was taken back again; stands alone in its request.
-        "redo" Redo(Redo),
+        Redo(Redo) = "redo",
         /// Changes colour or intensity of lights.
-        "relight" Relight(Relight),
+        Relight(Relight) = "relight",
         /// Adds a light.
-        "insert_light" InsertLight(InsertLight),
+        InsertLight(InsertLight) = "insert_light",
         /// Gives the scene its light from outside.
-        "sky" Sky(Sky),
+        Sky(Sky) = "sky",
         /// Takes a light away.
-        "remove_light" RemoveLight(RemoveLight),
+        RemoveLight(RemoveLight) = "remove_light",
         /// Moves or turns a light.
-        "move_light" MoveLight(MoveLight),
+        MoveLight(MoveLight) = "move_light",
         /// Lets lights share a layer of the light map.
-        "group_lights" GroupLights(GroupLights),
+        GroupLights(GroupLights) = "group_lights",
     }
 }
 

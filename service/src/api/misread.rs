@@ -111,8 +111,8 @@ pub(super) trait FromFields: Sized {
 /// Written, described and read by this one list.
 macro_rules! tagged {
     (
-        $(#[$about:meta])* $visible:vis enum $name:ident by $tag:literal
-        { $($(#[$of_variant:meta])* $text:literal $variant:ident($fields:ty),)* }
+        $(#[$about:meta])* $visible:vis enum $name:ident by $tag:tt
+        { $($(#[$of_variant:meta])* $variant:ident($fields:ty) = $text:tt,)* }
     ) => {
         $(#[$about])*
         #[derive(Clone, Debug, serde::Serialize, utoipa::ToSchema)]
@@ -163,9 +163,9 @@ mod tests {
         /// What may grow.
         enum Kinds by "kind" {
             /// Ends here.
-            "leaf" Leaf(Leaf),
+            Leaf(Leaf) = "leaf",
             /// Goes on.
-            "branch" Branch(Branch),
+            Branch(Branch) = "branch",
         }
     }
 
@@ -187,7 +187,7 @@ mod tests {
             assert_eq!(misread.path, path, "{leaf}: {misread}");
             assert!(misread.reason.starts_with(reason), "{leaf}: {misread}");
         }
-        let whole = inner(json!({ "kind": "leaf", "numbers": [1, 2] }));
+        let whole = inner(json!({ "kind": "leaf", "numbers": [1.0, 2.0] }));
         assert_eq!(serde_json::to_value(from_value::<Kinds>(whole.clone()).expect("right")).expect("text"), whole);
     }
 }
