@@ -58,7 +58,7 @@ pub(crate) fn restore(app: &Arc<App>, disk: &Disk, saved: Saved) {
     unbaked.iter().for_each(|scene| bake_again(app, scene));
     for scene in app.scenes.all().iter().filter(|scene| !scene.is_damaged()) {
         let accepted = scene.head.blocking_lock().sequence;
-        app.settle(scene, accepted);
+        app.show_accepted(scene, accepted);
     }
     // Unless the service is about to end already.
     app.phase.send_if_modified(|phase| {

@@ -27,7 +27,7 @@ impl Draft {
         self.world.emitters = Arc::new(self.world.resolve_emitters());
         if changed {
             self.build_small_trees();
-            self.settle_new_objects()?;
+            self.finish_new_objects()?;
         } else {
             // Slots that an object had while it was there.
             self.world.space.take_geometry(&before.space);
@@ -73,7 +73,7 @@ impl Draft {
     }
 
     /// Backs and solidity of what came, now that it can be asked with rays.
-    fn settle_new_objects(&mut self) -> Result<(), EditError> {
+    fn finish_new_objects(&mut self) -> Result<(), EditError> {
         let indices: Vec<usize> =
             (0..self.world.placed.len()).filter(|&i| self.come.contains(&self.world.placed[i].key)).collect();
         for index in indices {

@@ -16,7 +16,7 @@ pub enum Method {
     PathTrace,
     /// From scratch, by look-ups: [`rebake_core::bake`].
     Cached,
-    /// Update of the old map as published: [`rebake_core::paper`].
+    /// Update of the old map as published: [`crate::paper`].
     Paper {
         /// N.
         iterations: u32,

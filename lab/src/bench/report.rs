@@ -41,7 +41,7 @@ pub struct CaseReport {
     pub name: String,
     /// Elements after the edit.
     pub elements: usize,
-    /// Area that came or went over the area of the scene after the edit.
+    /// Area that was inserted or removed over the area of the scene after the edit.
     pub edited_share: f64,
     /// What errors are measured against.
     pub reference: ReferenceReport,

@@ -12,7 +12,7 @@ use crate::store::versions::Published;
 
 impl App {
     /// Publishes geometry that was accepted and that no open job will publish.
-    pub(crate) fn settle(&self, scene: &Arc<SceneEntry>, accepted: Sequence) {
+    pub(crate) fn show_accepted(&self, scene: &Arc<SceneEntry>, accepted: Sequence) {
         let upto = {
             let state = self.jobs.lock();
             if state.queue.running_on(scene.number).is_some() {
