@@ -3,13 +3,13 @@
 use rebake_core::allowed::Allowed;
 use serde_json::Value;
 
-use super::checks::{check_group, check_name, check_strength};
-use super::edit_lights::{light_kind, unit};
-use super::edit_types::{self as dto, Budget, EditList, EditOp, EditRequest, Focus, SingleEdit, Tiles};
+use super::checks::check_name;
+use super::edit_lights;
+use super::edit_types::{Budget, EditList, EditOp, EditRequest, Focus, Repaint, SingleEdit, Tiles};
 use super::misread::{FromFields, Misread, join};
 use super::problem::{ApiResult, Kind, Problem};
 use super::skies;
-use super::types::{JobPriority, dmat4, dvec3, vec3};
+use super::types::{JobPriority, dmat4, vec3};
 use crate::engine::Edit;
 use crate::store::assets::Assets;
 use crate::store::history::{History, Turn};
@@ -111,107 +111,65 @@ pub(crate) fn to_edits(parsed: &Parsed, assets: &Assets, history: &History, allo
 }
 
 fn to_edit(op: &EditOp, path: &str, assets: &Assets, allowed: Allowed) -> ApiResult<Edit> {
-    let finite = |field: &str, values: &[f64]| match values.iter().all(|value| value.is_finite()) {
-        true => Ok(()),
-        false => Err(Problem::field(Kind::InvalidValue, join(path, field), "has to be finite")),
-    };
     Ok(match op {
         EditOp::Insert(insert) => {
-            finite("transform", &insert.transform)?;
+            finite(path, "transform", &insert.transform)?;
             check_name(allowed, &insert.name, &join(path, "name"))?;
             let asset = skies::model(&insert.asset, &join(path, "asset"), assets)?;
             Edit::Insert { asset, name: insert.name.clone(), transform: dmat4(&insert.transform) }
         }
-        EditOp::Remove(dto::Remove { objects })
-        | EditOp::Hide(dto::Hide { objects })
-        | EditOp::Show(dto::Show { objects }) => {
-            if objects.is_empty() {
-                return Err(Problem::field(Kind::InvalidValue, join(path, "objects"), "names no object"));
-            }
-            let objects = objects.clone();
-            match op {
-                EditOp::Hide(_) => Edit::Hide { objects },
-                EditOp::Show(_) => Edit::Show { objects },
-                _ => Edit::Remove { objects },
-            }
-        }
-        EditOp::Undo(_) | EditOp::Redo(_) => {
-            return Err(Problem::field(Kind::InvalidValue, join(path, "op"), "stands alone in its request"));
-        }
+        EditOp::Remove(remove) => Edit::Remove { objects: objects(&remove.objects, path)? },
+        EditOp::Hide(hide) => Edit::Hide { objects: objects(&hide.objects, path)? },
+        EditOp::Show(show) => Edit::Show { objects: objects(&show.objects, path)? },
+        EditOp::Undo(_) | EditOp::Redo(_) => return Err(invalid(path, "op", "stands alone in its request")),
         EditOp::Move(place) => {
-            finite("transform", &place.transform)?;
+            finite(path, "transform", &place.transform)?;
             Edit::Move { object: place.object.clone(), transform: dmat4(&place.transform) }
         }
-        EditOp::Material(paint) => {
-            finite("albedo", &paint.albedo.map(f64::from))?;
-            if !paint.albedo.iter().all(|a| (0.0..=1.0).contains(a)) {
-                return Err(Problem::field(Kind::InvalidValue, join(path, "albedo"), "each has to be 0 to 1"));
-            }
-            let albedo = vec3(paint.albedo);
-            match (&paint.object, &paint.material) {
-                (_, Some(material)) if material.is_empty() => {
-                    let reason = "is empty: materials without a name are painted with their object";
-                    return Err(Problem::field(Kind::InvalidValue, join(path, "material"), reason));
-                }
-                (object, Some(material)) => {
-                    Edit::NamedMaterial { object: object.clone(), material: material.clone(), albedo }
-                }
-                (Some(object), None) => Edit::Material { object: object.clone(), albedo },
-                (None, None) => {
-                    let reason = "neither it nor `material` is given";
-                    return Err(Problem::field(Kind::InvalidValue, join(path, "object"), reason));
-                }
-            }
-        }
-        EditOp::Relight(relight) => {
-            if relight.lights.is_empty() {
-                return Err(Problem::field(Kind::InvalidValue, join(path, "lights"), "names no light"));
-            }
-            let mut lights = Vec::with_capacity(relight.lights.len());
-            for (i, one) in relight.lights.iter().enumerate() {
-                let at = join(path, &format!("lights[{i}]"));
-                if one.color.is_none() && one.intensity.is_none() {
-                    let reason = "neither it nor `color` is given";
-                    return Err(Problem::field(Kind::InvalidValue, join(&at, "intensity"), reason));
-                }
-                check_strength(allowed, one.color.as_ref(), one.intensity, &at)?;
-                let (color, intensity) = (one.color.map(vec3), one.intensity);
-                lights.push(rebake_core::Relight { light: one.light.clone(), color, intensity });
-            }
-            Edit::Relight { lights }
-        }
-        EditOp::InsertLight(new) => {
-            check_name(allowed, &new.name, &join(path, "name"))?;
-            let at = join(path, "light");
-            let (kind, color, intensity) = light_kind(&new.light, &at)?;
-            check_strength(allowed, Some(&color), Some(intensity), &at)?;
-            Edit::InsertLight { name: new.name.clone(), kind, color: vec3(color), intensity }
-        }
+        EditOp::Material(paint) => repaint(paint, path)?,
+        EditOp::Relight(relight) => edit_lights::relight(relight, path, allowed)?,
+        EditOp::InsertLight(new) => edit_lights::insert(new, path, allowed)?,
         EditOp::Sky(sky) => skies::edit(sky, path, assets, allowed)?,
         EditOp::RemoveLight(remove) => Edit::RemoveLight { light: remove.light.clone() },
-        EditOp::MoveLight(place) => {
-            if place.position.is_none() && place.direction.is_none() {
-                return Err(Problem::field(
-                    Kind::InvalidValue,
-                    join(path, "position"),
-                    "neither it nor `direction` is given",
-                ));
-            }
-            if let Some(position) = &place.position {
-                finite("position", position)?;
-            }
-            let direction = place.direction.map(|d| unit(d, &join(path, "direction"))).transpose()?;
-            let position = place.position.map(dvec3);
-            Edit::MoveLight { light: place.light.clone(), position, direction, own_layer: place.drag }
-        }
-        EditOp::GroupLights(group) => {
-            if let Some(name) = &group.name {
-                check_group(allowed, name, &join(path, "name"))?;
-            }
-            if group.lights.is_empty() {
-                return Err(Problem::field(Kind::InvalidValue, join(path, "lights"), "names no light"));
-            }
-            Edit::GroupLights { group: group.name.clone(), lights: group.lights.clone() }
-        }
+        EditOp::MoveLight(place) => edit_lights::move_one(place, path)?,
+        EditOp::GroupLights(group) => edit_lights::group(group, path, allowed)?,
     })
+}
+
+fn invalid(path: &str, field: &str, reason: &str) -> Problem {
+    Problem::field(Kind::InvalidValue, join(path, field), reason)
+}
+
+/// JSON has no infinity, but numbers that a field is too small for.
+pub(super) fn finite(path: &str, field: &str, values: &[f64]) -> ApiResult<()> {
+    match values.iter().all(|value| value.is_finite()) {
+        true => Ok(()),
+        false => Err(invalid(path, field, "has to be finite")),
+    }
+}
+
+fn objects(names: &[String], path: &str) -> ApiResult<Vec<String>> {
+    match names.is_empty() {
+        true => Err(invalid(path, "objects", "names no object")),
+        false => Ok(names.to_vec()),
+    }
+}
+
+fn repaint(paint: &Repaint, path: &str) -> ApiResult<Edit> {
+    finite(path, "albedo", &paint.albedo.map(f64::from))?;
+    if !paint.albedo.iter().all(|a| (0.0..=1.0).contains(a)) {
+        return Err(invalid(path, "albedo", "each has to be 0 to 1"));
+    }
+    let albedo = vec3(paint.albedo);
+    match (&paint.object, &paint.material) {
+        (_, Some(material)) if material.is_empty() => {
+            let reason = "is empty: materials without a name are painted with their object";
+            Err(invalid(path, "material", reason))
+        }
+        (object, Some(material)) => {
+            Ok(Edit::NamedMaterial { object: object.clone(), material: material.clone(), albedo })
+        }
+        (Some(object), None) => Ok(Edit::Material { object: object.clone(), albedo }),
+        (None, None) => Err(invalid(path, "object", "neither it nor `material` is given")),
+    }
 }
