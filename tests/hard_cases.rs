@@ -15,9 +15,9 @@ mod scenes;
 
 use std::sync::{Arc, Mutex};
 
-use rebake::bench::{Mode, Reference};
-use rebake_core::paper::{PaperOptions, paper_update};
-use rebake_core::{Budget, LightMap, Observer, Progress, Snapshot, Transition, Unobserved, bake, update};
+use rebake_core::{Budget, LightMap, Observer, Progress, Snapshot, Stated, Transition, Unobserved, bake, update};
+use rebake_lab::bench::Reference;
+use rebake_lab::paper::{PaperOptions, paper_update};
 
 use cases::HardCase;
 
@@ -67,9 +67,9 @@ fn measure(case: &HardCase, effort: &Effort) -> String {
     let after = &transition.after;
     let after = after.with_trees(after.rebuilt_trees()).expect("nothing has changed since");
     let truth = Reference::trace(&after, effort.elements, effort.paths, 5);
-    let mean = truth.mean(Mode::Full);
+    let mean = truth.mean(Stated::Full);
     let share = |value: f64| if mean > 0.0 { 100.0 * value / mean } else { 100.0 * value };
-    let square = |map: &LightMap| truth.mean_square_error(map, Mode::Full);
+    let square = |map: &LightMap| truth.mean_square_error(map, Stated::Full);
     let error = |map: &LightMap| share(square(map).root());
     let rays = Rays::default();
     let mut errors = (Vec::new(), Vec::new(), Vec::new(), [Vec::new(), Vec::new()]);
@@ -79,7 +79,7 @@ fn measure(case: &HardCase, effort: &Effort) -> String {
         errors.0.push(error(&map));
         known.push(share(square(&map).root_error()));
         errors.1.push(share(f64::from(map.estimated_rmse(after.areas()))));
-        ratios.push(truth.mean_of(&map, Mode::Full) / mean);
+        ratios.push(truth.mean_of(&map, Stated::Full) / mean);
         errors.2.push(error(&bake(&after, &budget(effort.samples), seed, &Unobserved).expect("nobody cancels")));
         for (iterations, errors) in [4, 16].into_iter().zip(&mut errors.3) {
             let options = PaperOptions { samples: effort.samples, iterations, ..PaperOptions::default() };

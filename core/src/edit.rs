@@ -106,9 +106,9 @@ pub enum Edit {
         position: Option<DVec3>,
         /// New direction in which it shines.
         direction: Option<Vec3>,
-        /// It is dragged: it gets a layer of its own where there is room for one, so that there are frames of it
-        /// ([`crate::DragBasis`]).
-        drag: bool,
+        /// It gets a layer of its own where there is room for one, so that there are quick estimates of it at other
+        /// places ([`crate::DragBasis`]).
+        own_layer: bool,
     },
     /// Lets lights share a layer of the light map ([`crate::layers`]), whose colour and intensity then change together
     /// without rays.

@@ -4,6 +4,7 @@
 //! and seed give the same bits on any number of threads.
 
 mod accumulate;
+pub mod allowed;
 mod ambient;
 pub mod atlas;
 mod bake;
@@ -25,15 +26,12 @@ mod importance;
 pub mod job;
 pub mod layers;
 pub mod lightmap;
-mod memory;
 pub mod metrics;
 #[cfg(test)]
 mod module_graph;
 pub mod occlusion;
 mod order;
-pub mod paper;
 mod parts;
-pub mod path;
 pub mod points;
 pub mod probes;
 pub mod random;
@@ -48,7 +46,7 @@ mod space;
 pub mod surface;
 pub mod texels;
 mod tiles;
-mod transport;
+pub mod transport;
 mod update;
 mod value;
 mod world;
@@ -61,8 +59,10 @@ pub use focus::Focus;
 pub use importance::{Importance, TileMode, Tiles};
 pub use job::{Budget, Canceled, Observer, Pass, Progress, Snapshot, Unobserved};
 pub use lightmap::{LightMap, LightPart, LightValues};
-pub use memory::keep_freed_memory;
 pub use refine::refine;
-pub use space::{Density, NO_OBJECT, object_areas};
+pub use space::{Density, Footprint, NO_OBJECT, Placement, object_areas};
 pub use update::update;
-pub use world::{LightInfo, ObjectInfo, Stated, Transition, Trees, World, WorldError, WorldOptions};
+pub use world::{
+    Emitter, LightInfo, LightSample, ObjectInfo, Placed, Stated, Transition, Trees, Validity, World, WorldError,
+    WorldOptions, arriving, visible_light,
+};

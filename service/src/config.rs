@@ -112,8 +112,6 @@ pub struct Limits {
     pub frame_bytes: usize,
     /// Entries of one page, at most.
     pub page: usize,
-    /// Characters of a name.
-    pub name_chars: usize,
     /// Points of one request for light at points.
     pub sample_points: usize,
     /// Probes of one request.
@@ -223,7 +221,6 @@ impl Default for Limits {
             unlit_edits: 64,
             frame_bytes: 4 << 20,
             page: 200,
-            name_chars: 256,
             sample_points: 4096,
             probes: 32_768,
             samples: 1 << 23,

@@ -28,7 +28,7 @@ struct Silent {
 
 /// The place of one connection; free again when it is dropped.
 #[derive(Debug)]
-pub(crate) struct Place {
+pub(crate) struct Seat {
     connections: Arc<Connections>,
     number: u64,
     _permit: OwnedSemaphorePermit,
@@ -41,7 +41,7 @@ impl Connections {
 
     /// A place for one more connection, the oldest silent one's where there is no other. The receiver gets a word
     /// when the connection has to give way, and an error when it never has to.
-    pub(crate) async fn enter(self: &Arc<Connections>) -> Option<(Arc<Place>, oneshot::Receiver<()>)> {
+    pub(crate) async fn enter(self: &Arc<Connections>) -> Option<(Arc<Seat>, oneshot::Receiver<()>)> {
         let permit = match self.room.clone().try_acquire_owned() {
             Ok(permit) => permit,
             Err(_) => {
@@ -58,7 +58,7 @@ impl Connections {
         let number = silent.count;
         silent.by_age.insert(number, send);
         drop(silent);
-        Some((Arc::new(Place { connections: self.clone(), number, _permit: permit }), receive))
+        Some((Arc::new(Seat { connections: self.clone(), number, _permit: permit }), receive))
     }
 
     fn silent(&self) -> MutexGuard<'_, Silent> {
@@ -66,7 +66,7 @@ impl Connections {
     }
 }
 
-impl Place {
+impl Seat {
     /// The connection has asked for something: it stays.
     pub(crate) fn has_asked(&self) {
         // Whoever waits for the receiver sees that the sender is gone without a word.
@@ -74,7 +74,7 @@ impl Place {
     }
 }
 
-impl Drop for Place {
+impl Drop for Seat {
     fn drop(&mut self) {
         self.connections.silent().by_age.remove(&self.number);
     }

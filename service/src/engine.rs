@@ -9,6 +9,7 @@ use std::fmt::Debug;
 use std::sync::Arc;
 
 use glam::{DMat4, DVec3, Vec3};
+use rebake_core::allowed::check_spacing;
 pub(crate) use rebake_core::atlas::{Atlas, AtlasError, AtlasOptions};
 pub(crate) use rebake_core::export::{LightAbout, Originals};
 pub(crate) use rebake_core::layers::{Layer, LightValues, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER};
@@ -213,7 +214,7 @@ pub(crate) fn limited(world: World, limits: &Limits) -> World {
 /// A world without anything in it: what is shown of a scene that cannot be built. A spacing that no world can have, as
 /// a damaged record tells it, gives way to 1 m.
 pub(crate) fn empty_world(spacing: f32) -> World {
-    let spacing = if spacing.is_finite() && spacing > 0.0 { spacing } else { 1.0 };
+    let spacing = if check_spacing(spacing).is_ok() { spacing } else { 1.0 };
     let scene = Scene::from_objects(Vec::new());
     let options = WorldOptions { spacing: Some(spacing), ..WorldOptions::default() };
     // Nothing can be too large or malformed.

@@ -5,6 +5,6 @@ mod cli;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    rebake_core::keep_freed_memory();
+    rebake::keep_freed_memory();
     cli::run()
 }

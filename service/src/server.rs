@@ -17,7 +17,7 @@ use tokio_io_timeout::TimeoutStream;
 
 use crate::api::{self, Turns};
 use crate::config::Config;
-use crate::connections::{Connections, Place, first_bytes};
+use crate::connections::{Connections, Seat, first_bytes};
 use crate::restore;
 use crate::state::{App, Phase};
 
@@ -85,7 +85,7 @@ pub async fn run_while<T>(listener: TcpListener, config: Config, work: impl Futu
 async fn accept(
     listener: &TcpListener,
     connections: &Arc<Connections>,
-) -> Option<(TcpStream, Arc<Place>, oneshot::Receiver<()>)> {
+) -> Option<(TcpStream, Arc<Seat>, oneshot::Receiver<()>)> {
     match listener.accept().await {
         Ok((stream, _)) => {
             // One at a time waits for room; what comes behind it stays in the kernel's backlog.
@@ -101,7 +101,7 @@ async fn accept(
     }
 }
 
-async fn connection(app: Arc<App>, router: axum::Router, mut stream: TcpStream, place: Arc<Place>, watcher: Watcher) {
+async fn connection(app: Arc<App>, router: axum::Router, mut stream: TcpStream, place: Arc<Seat>, watcher: Watcher) {
     // Frames and events are small and wanted at once.
     if let Err(error) = stream.set_nodelay(true) {
         tracing::debug!(%error, "TCP_NODELAY");

@@ -21,7 +21,7 @@ impl Engine for Gate {
             Ok(None) => World::new(scene, options),
             Ok(Some(error)) => Err(error),
             // The test is over.
-            Err(_) => Err(WorldError::Spacing(0.0)),
+            Err(_) => Err(WorldError::Spacing("is none".to_owned())),
         }
     }
 }

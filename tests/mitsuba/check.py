@@ -23,7 +23,7 @@ def parse():
 def outside(args):
     """Makes the environment, renders with rebake, and goes on inside the environment."""
     python, environment = prepare(args.venv)
-    example = ["--manifest-path", ROOT / "core/Cargo.toml", "--example", "path_points"]
+    example = ["--manifest-path", ROOT / "lab/Cargo.toml", "--example", "path_points"]
     command = [args.binary] if args.binary else cargo(*example)
     subprocess.run([*command, str(args.work), str(args.paths)], check=True)
     again = [python, __file__, "--inside", "--paths", str(args.paths), "--work", str(args.work)]

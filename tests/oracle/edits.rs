@@ -125,7 +125,7 @@ fn relight_and_lights_that_come_go_and_move() {
         light: "bulb".into(),
         position: Some(DVec3::new(0.8, 1.4, 2.3)),
         direction: None,
-        drag: false,
+        own_layer: false,
     };
     check("move a light", &lit, &[moved], Vec3::new(0.8, 0.3, 2.3));
     check("remove a light", &lit, &[Edit::RemoveLight { light: "bulb".into() }], Vec3::new(2.0, 0.3, 2.0));

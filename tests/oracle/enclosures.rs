@@ -1,9 +1,9 @@
 //! Closed enclosures with closed-form light.
 
 use glam::{DMat4, Vec3};
-use rebake_core::path::path_trace;
 use rebake_core::scene::{Material, Mesh, Object};
 use rebake_core::{Budget, Unobserved, bake};
+use rebake_lab::path::path_trace;
 
 use super::scenes::world;
 use super::statistics::{area_mean, assert_agrees, mean_total, replicate};

@@ -106,7 +106,7 @@ fn a_moved_lamp_comes_first_where_somebody_looks() {
     let world = world(room_objects(0.7), 0.1).apply(&[bulb, group]).expect("a bulb").after;
     let old = bake(&world, &budget(64), 1, &Unobserved).expect("nobody cancels");
     let position = Some(DVec3::new(2.0, 1.5, 2.2));
-    let edit = Edit::MoveLight { light: "bulb".into(), position, direction: None, drag: false };
+    let edit = Edit::MoveLight { light: "bulb".into(), position, direction: None, own_layer: false };
     let transition = world.apply(&[edit]).expect("a move");
     let middle = Vec3::new(2.2, 0.0, 1.9);
     let focus = Focus::Sphere { point: middle.as_dvec3(), radius: 0.8 };

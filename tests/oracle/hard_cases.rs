@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use glam::{DMat4, DVec3, Vec3};
-use rebake_core::path::path_trace;
 use rebake_core::scene::{Material, Mesh, Object, Scene};
 use rebake_core::{Budget, Edit, LightMap, Unobserved, World, WorldOptions, bake, refine, update};
+use rebake_lab::path::path_trace;
 
 use super::scenes::{crate_at, open_scene_objects, room_objects, world};
 use super::statistics::{area_mean, mean_total};

@@ -182,7 +182,7 @@ fn lights_that_come_go_and_move_touch_their_own_layer_only() {
         (transition.after, map)
     };
     let place = Some(DVec3::new(1.2, 1.0, 2.5));
-    let moved = Edit::MoveLight { light: "red".into(), position: place, direction: None, drag: false };
+    let moved = Edit::MoveLight { light: "red".into(), position: place, direction: None, own_layer: false };
     let (world, map) = apply(&start, &old, moved, 2);
     let red = map.layers.iter().position(|l| l.name == "red").expect("a layer");
     for (k, (new, old)) in map.layers.iter().zip(&old.layers).enumerate() {
@@ -190,7 +190,7 @@ fn lights_that_come_go_and_move_touch_their_own_layer_only() {
     }
     let maps: Vec<Arc<LightMap>> = (0..8)
         .map(|seed| {
-            let moved = Edit::MoveLight { light: "red".into(), position: place, direction: None, drag: false };
+            let moved = Edit::MoveLight { light: "red".into(), position: place, direction: None, own_layer: false };
             apply(&start, &old, moved, 20 + seed).1
         })
         .collect();
@@ -264,7 +264,7 @@ fn random_edit(dice: &mut Pcg32, world: &World, turn: u64) -> Edit {
             light: "blue".into(),
             position: Some(DVec3::new(x, 0.9, z)),
             direction: None,
-            drag: false,
+            own_layer: false,
         },
         6 if is_lit("white") => Edit::RemoveLight { light: "white".into() },
         7 if has("crate") => Edit::Remove { objects: vec!["crate".into()] },
@@ -282,7 +282,7 @@ fn a_dragged_light_has_frames_near_the_exact_update() {
         light: light.into(),
         position: Some(DVec3::from_array(place)),
         direction: None,
-        drag: false,
+        own_layer: false,
     };
     let transition = start.apply(&[moved("red", [1.9, 1.1, 1.3])]).expect("a move");
     let count = Count::default();

@@ -3,10 +3,10 @@
 use std::sync::Arc;
 
 use glam::{DMat4, DVec3, Vec3};
-use rebake_core::paper::{Equation, PaperError, PaperOptions, paper_update};
-use rebake_core::path::path_trace;
 use rebake_core::scene::{Material, Mesh, Object, Scene};
 use rebake_core::{Budget, Edit, LightMap, Relight, Transition, Unobserved, World, bake, update};
+use rebake_lab::paper::{Equation, PaperError, PaperOptions, paper_update};
+use rebake_lab::path::path_trace;
 
 use super::scenes::{crate_at, room_objects, world};
 use super::statistics::{area_mean, assert_agrees, replicate};

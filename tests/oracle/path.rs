@@ -1,9 +1,9 @@
 //! Path tracing with both strategies against light sampling alone and closed forms.
 
 use glam::{DMat4, DVec3, Vec3};
-use rebake_core::path::path_trace;
 use rebake_core::scene::{LightKind, Material, Mesh, Object, Scene};
 use rebake_core::{Budget, Unobserved, World, WorldOptions, bake};
+use rebake_lab::path::path_trace;
 
 use super::scenes::room_objects;
 use super::statistics::{Estimate, area_mean, assert_agrees, replicate};

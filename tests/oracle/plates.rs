@@ -3,9 +3,9 @@
 use std::f64::consts::PI;
 
 use glam::Vec3;
-use rebake_core::path::path_trace;
 use rebake_core::scene::{Light, LightKind, Material, Mesh, Object, Scene};
 use rebake_core::{Budget, Unobserved, World, WorldOptions, bake};
+use rebake_lab::path::path_trace;
 
 use super::scenes::world;
 use super::statistics::{area_mean, assert_agrees, replicate};

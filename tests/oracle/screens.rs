@@ -4,9 +4,9 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 use glam::{DMat4, DVec3, Mat2, Vec2, Vec3};
-use rebake_core::path::path_trace;
 use rebake_core::scene::{AlphaUse, LightKind, Look, Material, Mesh, Object, Scene, Texture, TextureUse, Wrap};
 use rebake_core::{Budget, Edit, LightMap, Relight, Unobserved, World, bake, update};
+use rebake_lab::path::path_trace;
 
 use super::edits::check;
 use super::scenes::{room_objects, world};

@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use glam::{DMat4, DVec3, Mat2, Vec2, Vec3};
-use rebake_core::path::path_trace;
 use rebake_core::scene::{
     AlphaMode, AlphaUse, Light, LightKind, Look, Material, Mesh, Object, Scene, Texture, TextureUse, Wrap,
 };
 use rebake_core::{Budget, Edit, LightMap, Unobserved, World, WorldOptions, bake, update};
+use rebake_lab::path::path_trace;
 
 use super::edits::check;
 use super::scenes::{crate_at, room_objects, world};

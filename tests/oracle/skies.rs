@@ -4,9 +4,9 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
-use rebake_core::path::path_trace;
 use rebake_core::scene::{ENVIRONMENT, Light, LightKind, Material, Mesh, Object, Scene, SkyPicture};
 use rebake_core::{Budget, Edit, LightMap, Relight, Unobserved, World, WorldOptions, bake, update};
+use rebake_lab::path::path_trace;
 
 use super::edits::check;
 use super::scenes::{crate_at, room_objects};

@@ -87,7 +87,7 @@ pub(super) fn charts(
         if texels > room.max_texels {
             return Err(Unfit::TooMany);
         }
-        let (chart, back) = flattener.settle(flat, [size.x as u32, size.y as u32]);
+        let (chart, back) = flattener.without_overlaps(flat, [size.x as u32, size.y as u32]);
         allowance = allowance.saturating_sub(back.len());
         for triangle in back {
             left[triangle as usize] = true;
@@ -192,7 +192,7 @@ impl Flattener<'_> {
     }
 
     /// Leaves out of a piece of some size what lies on top of the rest.
-    fn settle(&mut self, piece: Piece, size: [u32; 2]) -> (Chart, Vec<u32>) {
+    fn without_overlaps(&mut self, piece: Piece, size: [u32; 2]) -> (Chart, Vec<u32>) {
         let Piece { kept, mut back } = piece;
         self.owners.clear();
         if kept.len() > 1 {

@@ -29,7 +29,7 @@ use self::pages::Pages;
 use self::shape::Shape;
 use self::unwrap::{NoRoom, Unwrap};
 use crate::scene::Object;
-use crate::surface::Source;
+use crate::surface::FileTriangle;
 
 /// Texels that rectangles of an atlas take at most where nothing else is said.
 pub const DEFAULT_MAX_TEXELS: u64 = 1 << 26;
@@ -134,7 +134,7 @@ impl Entry {
     }
 
     /// Places of the corners of a triangle of the object's surface, in their order there; texels of a rectangle.
-    pub(crate) fn places_of(&self, source: Source) -> [Vec2; 3] {
+    pub(crate) fn places_of(&self, source: FileTriangle) -> [Vec2; 3] {
         let [a, b, c] = self.unwrap.places[source.triangle()];
         if source.turned() { [a, c, b] } else { [a, b, c] }
     }

@@ -1,6 +1,6 @@
 //! Lanes in one AVX register; AVX2 for the integer permutations.
 
-use super::lanes::{Lanes, Stack};
+use super::lanes::{Lanes, SortedStack, Stack};
 use super::node::{Node, WIDTH};
 use super::traverse::{any_hit, closest_hit};
 use super::{Bvh, Filter, Hit, Ray};
@@ -156,7 +156,7 @@ impl Lanes for Avx2 {
     }
 
     #[inline(always)]
-    unsafe fn push_sorted(stack: &mut Stack, node: &Node, entry: __m256, exit: __m256, octant: u32) {
+    unsafe fn push_sorted(stack: &mut SortedStack, node: &Node, entry: __m256, exit: __m256, octant: u32) {
         // SAFETY: as in `push_unsorted`. The permutations look only at the lowest three bits of their indices.
         unsafe {
             let shift = _mm_cvtsi32_si128(3 * octant as i32);

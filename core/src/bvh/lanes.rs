@@ -44,7 +44,7 @@ pub(super) trait Lanes {
     /// Pushes the children with `entry ≤ exit` in any order, without their distances.
     unsafe fn push_unsorted(stack: &mut Stack, node: &Node, entry: Self::Float, exit: Self::Float);
     /// Pushes the children with `entry ≤ exit` and their entry distances, far to near.
-    unsafe fn push_sorted(stack: &mut Stack, node: &Node, entry: Self::Float, exit: Self::Float, octant: u32);
+    unsafe fn push_sorted(stack: &mut SortedStack, node: &Node, entry: Self::Float, exit: Self::Float, octant: u32);
 
     /// Starts to load the first `bytes` behind `address` (any address is allowed).
     unsafe fn prefetch(address: *const u8, bytes: usize);
@@ -64,11 +64,10 @@ impl StackMemory {
     }
 }
 
-/// What is still to be visited. Never overflows: see [`STACK_SIZE`]. Apart from its memory, so that it lives in
-/// registers.
+/// What is still to be visited, in any order. Never overflows: see [`STACK_SIZE`]. Apart from its memory, so that it
+/// lives in registers.
 pub(super) struct Stack<'a> {
     children: *mut ChildRef,
-    entries: *mut f32,
     len: usize,
     memory: PhantomData<&'a mut StackMemory>,
 }
@@ -76,8 +75,7 @@ pub(super) struct Stack<'a> {
 impl<'a> Stack<'a> {
     #[inline(always)]
     pub(super) fn new(memory: &'a mut StackMemory) -> Self {
-        let (children, entries) = (memory.children.as_mut_ptr().cast(), memory.entries.as_mut_ptr().cast());
-        Self { children, entries, len: 0, memory: PhantomData }
+        Self { children: memory.children.as_mut_ptr().cast(), len: 0, memory: PhantomData }
     }
 
     /// Where the next child goes. A push writes `WIDTH` children here, then grows the stack by those that count.
@@ -87,35 +85,17 @@ impl<'a> Stack<'a> {
         self.children.wrapping_add(self.len)
     }
 
-    /// Where the next entry distance goes.
-    #[inline(always)]
-    pub(super) fn entries_top(&mut self) -> *mut f32 {
-        self.entries.wrapping_add(self.len)
-    }
-
     #[inline(always)]
     pub(super) fn grow(&mut self, count: u32) {
         self.len += count as usize;
     }
 
-    /// The next child, with no regard to its distance.
+    /// The next child.
     #[inline(always)]
     pub(super) fn pop(&mut self) -> Option<ChildRef> {
         self.len = self.len.checked_sub(1)?;
         // SAFETY: `len` is below what the pushes grew it to, and they initialised all below.
         Some(unsafe { self.children.add(self.len).read() })
-    }
-
-    /// The next child whose box is entered no later than `limit`.
-    #[inline(always)]
-    pub(super) fn pop_nearer(&mut self, limit: f32) -> Option<ChildRef> {
-        loop {
-            let child = self.pop()?;
-            // SAFETY: as in `pop`; `push_sorted` initialises both arrays.
-            if unsafe { self.entries.add(self.len).read() } <= limit {
-                return Some(child);
-            }
-        }
     }
 
     /// What `pop` would return.
@@ -124,5 +104,57 @@ impl<'a> Stack<'a> {
         let last = self.len.checked_sub(1)?;
         // SAFETY: as in `pop`.
         Some(unsafe { self.children.add(last).read() })
+    }
+}
+
+/// What is still to be visited, with the distance at which each box is entered. Only [`Lanes::push_sorted`] pushes to it,
+/// which writes both: no distance is read that was never written.
+pub(super) struct SortedStack<'a> {
+    children: Stack<'a>,
+    entries: *mut f32,
+}
+
+impl<'a> SortedStack<'a> {
+    #[inline(always)]
+    pub(super) fn new(memory: &'a mut StackMemory) -> Self {
+        let StackMemory { children, entries } = memory;
+        let children = Stack { children: children.as_mut_ptr().cast(), len: 0, memory: PhantomData };
+        Self { children, entries: entries.as_mut_ptr().cast() }
+    }
+
+    /// The children, without their distances.
+    #[inline(always)]
+    pub(super) fn children(&self) -> &Stack<'a> {
+        &self.children
+    }
+
+    /// Where the next child goes. A push writes `WIDTH` children here, as many distances to
+    /// [`SortedStack::entries_top`], then grows the stack by those that count.
+    #[inline(always)]
+    pub(super) fn children_top(&mut self) -> *mut ChildRef {
+        self.children.children_top()
+    }
+
+    /// Where the next entry distance goes.
+    #[inline(always)]
+    pub(super) fn entries_top(&mut self) -> *mut f32 {
+        self.entries.wrapping_add(self.children.len)
+    }
+
+    #[inline(always)]
+    pub(super) fn grow(&mut self, count: u32) {
+        self.children.grow(count);
+    }
+
+    /// The next child whose box is entered no later than `limit`.
+    #[inline(always)]
+    pub(super) fn pop_nearer(&mut self, limit: f32) -> Option<ChildRef> {
+        loop {
+            let child = self.children.pop()?;
+            // SAFETY: every push has written a distance for every child.
+            if unsafe { self.entries.add(self.children.len).read() } <= limit {
+                return Some(child);
+            }
+        }
     }
 }

@@ -1,6 +1,6 @@
 //! Lanes for every CPU: plain arrays that the compiler vectorises with what the target has.
 
-use super::lanes::{Lanes, Stack};
+use super::lanes::{Lanes, SortedStack, Stack};
 use super::node::{Node, WIDTH};
 
 pub(super) struct Portable;
@@ -105,7 +105,7 @@ impl Lanes for Portable {
     }
 
     #[inline(always)]
-    unsafe fn push_sorted(stack: &mut Stack, node: &Node, entry: Array, exit: Array, octant: u32) {
+    unsafe fn push_sorted(stack: &mut SortedStack, node: &Node, entry: Array, exit: Array, octant: u32) {
         for order in node.order {
             let slot = (order >> (3 * octant)) as usize & (WIDTH - 1);
             // SAFETY: the caller left room for WIDTH children; writing one that does not count is harmless.

@@ -6,7 +6,7 @@
 //! later than the distance found: culling never decides which of two triangles wins. Equal distances go to the smaller
 //! id.
 
-use super::lanes::{Lanes, Stack, StackMemory};
+use super::lanes::{Lanes, SortedStack, Stack, StackMemory};
 use super::node::{Block, ChildRef, NO_TRIANGLE, Node};
 use super::{Bvh, Filter, Hit, Ray};
 use glam::{DVec3, Vec2, Vec3};
@@ -234,7 +234,7 @@ pub(super) unsafe fn closest_hit<L: Lanes, F: Filter>(bvh: &Bvh, ray: &Ray, filt
         let mut best = Candidate { t: f32::INFINITY, id: NO_TRIANGLE, block: usize::MAX, lane: 0 };
         let mut limit = inclusive(ray.t_max);
         let mut memory = StackMemory::new();
-        let mut stack = Stack::new(&mut memory);
+        let mut stack = SortedStack::new(&mut memory);
         let mut next = Some(ChildRef::ROOT);
         while let Some(child) = next {
             if child.is_block() {
@@ -259,7 +259,7 @@ pub(super) unsafe fn closest_hit<L: Lanes, F: Filter>(bvh: &Bvh, ray: &Ray, filt
                 L::push_sorted(&mut stack, node, entry, exit, lanes.octant);
             }
             next = stack.pop_nearer(limit);
-            prefetch_next::<L>(bvh, &stack);
+            prefetch_next::<L>(bvh, stack.children());
         }
         (best.block != usize::MAX).then(|| finish(bvh, ray, &best))
     }

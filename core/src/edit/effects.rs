@@ -193,10 +193,10 @@ impl Edit {
                 }
             }
             (
-                Edit::MoveLight { position, direction, drag, .. },
-                Edit::MoveLight { position: old_position, direction: old_direction, drag: was_dragged, .. },
+                Edit::MoveLight { position, direction, own_layer, .. },
+                Edit::MoveLight { position: old_position, direction: old_direction, own_layer: had_own_layer, .. },
             ) => {
-                *drag |= was_dragged;
+                *own_layer |= had_own_layer;
                 *position = position.or(old_position);
                 *direction = direction.or(old_direction);
             }

@@ -25,12 +25,12 @@ const SCATTER: f32 = 1.5;
 
 /// Elements with those that they take in.
 pub(super) struct Weights {
-    parts: Vec<Part>,
+    parts: Vec<Share>,
 }
 
 /// Some elements.
 #[derive(Default)]
-struct Part {
+struct Share {
     rows: Vec<Row>,
     /// Behind one another: what the rows take in, with what it counts in the mean; the element itself counts the rest.
     entries: Vec<(u32, f32)>,
@@ -42,7 +42,7 @@ struct Row {
     end: u32,
 }
 
-impl Part {
+impl Share {
     fn rows(&self) -> impl Iterator<Item = (usize, &[(u32, f32)])> {
         let mut start = 0;
         self.rows.iter().map(move |row| {
@@ -66,7 +66,7 @@ impl Weights {
             |part: &mut Vec<(u32, f32)>, slot: u32, near: &[Near]| part.push((slot, pool(variance, slot, near)));
         let variance = spread(variance, nearby.each(observer, pooled)?.iter().flatten().copied());
         let difference2 = |a: u32, b: u32| (light[a as usize] - light[b as usize]).length_squared() / 3.0;
-        let agreeing = |part: &mut Part, slot: u32, near: &[Near]| {
+        let agreeing = |part: &mut Share, slot: u32, near: &[Near]| {
             let agrees = |near: &&Near| {
                 let smaller = variance[slot as usize].min(variance[near.slot as usize]);
                 smaller > 0.0 && difference2(slot, near.slot) <= AGREES * AGREES * 2.0 * smaller
@@ -115,7 +115,7 @@ impl Weights {
 
     /// `of(slot, its entries)` per slot; what has no row keeps its value.
     fn each<T: Copy + Send + Sync>(&self, values: &[T], of: impl Fn(usize, &[(u32, f32)]) -> T + Sync) -> Vec<T> {
-        let part = |part: &Part| part.rows().map(|(slot, entries)| (slot as u32, of(slot, entries))).collect();
+        let part = |part: &Share| part.rows().map(|(slot, entries)| (slot as u32, of(slot, entries))).collect();
         let found: Vec<Vec<(u32, T)>> = self.parts.par_iter().map(part).collect();
         spread(values, found.into_iter().flatten())
     }

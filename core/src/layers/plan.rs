@@ -119,7 +119,7 @@ impl Plan {
         for (index, header) in old.iter().enumerate() {
             plan.divide(index, header, before, after, &mut places);
         }
-        plan.settle(before, after);
+        plan.assemble(before, after);
         plan
     }
 
@@ -193,7 +193,7 @@ impl Plan {
     }
 
     /// The layers after the edit.
-    fn settle(&mut self, before: &Scene, after: &Scene) {
+    fn assemble(&mut self, before: &Scene, after: &Scene) {
         for (index, planned) in self.regrouped.iter().enumerate() {
             let mut header = planned.header.clone();
             header.lights.retain(|light| strength_of(after, &light.name).is_some());

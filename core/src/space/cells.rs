@@ -79,7 +79,7 @@ pub(super) struct Cut {
 
 /// Where a point of a surface lies among its elements.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Place {
+pub(crate) struct Location {
     /// The cell.
     pub cell: u32,
     /// Elements at its corners.
@@ -148,7 +148,7 @@ impl Cells {
 
     /// The cell of a point of a triangle, given by its barycentric weights.
     #[inline]
-    pub(crate) fn locate(&self, face: u32, mut weights: [f32; 3]) -> Place {
+    pub(crate) fn locate(&self, face: u32, mut weights: [f32; 3]) -> Location {
         let root = &self.roots[face as usize];
         let (mut cell, mut node, mut elements) = (face, root.node, root.corners);
         while node != NONE {
@@ -167,7 +167,7 @@ impl Cells {
             };
             (cell, node) = (self.id_of_child(node, k), divided.child(k));
         }
-        Place { cell, elements, weights: normalized(weights) }
+        Location { cell, elements, weights: normalized(weights) }
     }
 
     /// The cut where the piece of a point begins, its corners and the point's weights among them.

@@ -6,7 +6,7 @@ use glam::Vec3;
 
 /// The slots that hold the light of a point, and their weights, which sum to 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Footprint {
+pub struct Footprint {
     slots: [u32; 3],
     weights: [f32; 3],
 }
@@ -37,7 +37,7 @@ impl Footprint {
 
     /// The weighted mean of some values, one per slot.
     #[inline]
-    pub(crate) fn interpolate<V>(&self, values: &(impl Index<usize, Output = V> + ?Sized)) -> V
+    pub fn interpolate<V>(&self, values: &(impl Index<usize, Output = V> + ?Sized)) -> V
     where
         V: Copy + std::ops::Add<Output = V> + std::ops::Mul<f32, Output = V>,
     {

@@ -24,12 +24,14 @@ mod tests;
 pub(crate) use albedo::{Albedo, Albedos};
 pub(crate) use cells::Patch;
 pub use density::{Density, object_areas};
-pub(crate) use footprint::{Footprint, Spot};
+pub use footprint::Footprint;
+pub(crate) use footprint::Spot;
 pub(crate) use layout::{Elements, Layout};
 pub(crate) use offset::ray_offset;
 pub(crate) use part::Part;
 pub use slots::NO_OBJECT;
-pub(crate) use slots::{Placement, Slots};
+pub use slots::Placement;
+pub(crate) use slots::Slots;
 
 use std::ops::Range;
 use std::sync::Arc;

@@ -31,7 +31,7 @@ pub(crate) struct Slots {
 
 /// What of a world's lists belongs to an object.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Placement {
+pub struct Placement {
     /// Element slots: the front's, then the back's where it has any.
     pub elements: Range<u32>,
     /// Triangle slots: what trees call their triangles.

@@ -55,9 +55,9 @@ enum Node {
 }
 
 /// A node while the picture is read.
-enum Part {
+enum Quarter {
     Whole(Vec3),
-    Four(Box<[Part; 4]>),
+    Four(Box<[Quarter; 4]>),
 }
 
 impl Facets {
@@ -97,14 +97,14 @@ impl Facets {
     }
 
     /// Makes a part the node at `index`; `place` is where it is.
-    fn add(&mut self, index: usize, part: &Part, place: Facet) {
+    fn add(&mut self, index: usize, part: &Quarter, place: Facet) {
         self.nodes[index] = match part {
-            Part::Whole(Vec3::ZERO) => Node::Dark,
-            Part::Whole(color) => {
+            Quarter::Whole(Vec3::ZERO) => Node::Dark,
+            Quarter::Whole(color) => {
                 self.list.push(Facet { color: *color, ..place });
                 Node::Facet(self.list.len() as u32 - 1)
             }
-            Part::Four(parts) => {
+            Quarter::Four(parts) => {
                 let first = self.nodes.len();
                 self.nodes.extend([Node::Dark; 4]);
                 for (k, (part, corners)) in parts.iter().zip(fourths(place.corners)).enumerate() {
@@ -167,21 +167,21 @@ fn fourths([a, b, c]: [Vec2; 3]) -> [[Vec2; 3]; 4] {
 }
 
 /// Reads a triangle of the picture, divided in four `levels` times; parts that are the same become one.
-fn divide(texture: &TextureUse, texcoords: [Vec2; 3], levels: u32) -> Part {
+fn divide(texture: &TextureUse, texcoords: [Vec2; 3], levels: u32) -> Quarter {
     if levels == 0 {
-        return Part::Whole(texture.mean_over(texcoords).color);
+        return Quarter::Whole(texture.mean_over(texcoords).color);
     }
     let parts = fourths(texcoords).map(|part| divide(texture, part, levels - 1));
-    let whole = |part: &Part| if let Part::Whole(color) = part { Some(*color) } else { None };
+    let whole = |part: &Quarter| if let Quarter::Whole(color) = part { Some(*color) } else { None };
     if let [Some(a), Some(b), Some(c), Some(d)] = [0, 1, 2, 3].map(|k| whole(&parts[k])) {
         let mean = (a + b + c + d) * 0.25;
         let is_same =
             |color: Vec3| (color - mean).abs().max_element() <= SAME && (color == Vec3::ZERO) == (mean == Vec3::ZERO);
         if [a, b, c, d].into_iter().all(is_same) {
-            return Part::Whole(mean);
+            return Quarter::Whole(mean);
         }
     }
-    Part::Four(Box::new(parts))
+    Quarter::Four(Box::new(parts))
 }
 
 /// How long the edges of facets may be, metres.

@@ -34,7 +34,7 @@ pub struct Surface {
     /// Per triangle: index into the object's materials.
     pub triangle_materials: Vec<u32>,
     /// Per triangle: where it comes from.
-    pub sources: Vec<Source>,
+    pub sources: Vec<FileTriangle>,
     /// Triangles of the mesh that have no area in scene space and were dropped.
     pub dropped: u32,
     /// Every edge is shared by exactly two triangles of opposite direction: the surface bounds a volume.
@@ -45,24 +45,24 @@ pub struct Surface {
 
 /// A triangle of the mesh: texture coordinates and vertex colours are read there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Source(u32);
+pub struct FileTriangle(u32);
 
-impl Source {
+impl FileTriangle {
     const TURNED: u32 = 1 << 31;
 
-    pub(crate) fn new(triangle: u32, turned: bool) -> Source {
-        Source(triangle | if turned { Source::TURNED } else { 0 })
+    pub(crate) fn new(triangle: u32, turned: bool) -> FileTriangle {
+        FileTriangle(triangle | if turned { FileTriangle::TURNED } else { 0 })
     }
 
     /// Index of the triangle in the mesh.
     pub fn triangle(self) -> usize {
-        (self.0 & !Source::TURNED) as usize
+        (self.0 & !FileTriangle::TURNED) as usize
     }
 
     /// Whether the second and third corner have changed places, since the object is mirrored or its winding opposes its
     /// normals.
     pub fn turned(self) -> bool {
-        self.0 & Source::TURNED != 0
+        self.0 & FileTriangle::TURNED != 0
     }
 }
 

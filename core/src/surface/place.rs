@@ -2,7 +2,7 @@
 
 use glam::{DMat4, Vec3};
 
-use super::{Source, Surface};
+use super::{FileTriangle, Surface};
 
 impl Surface {
     /// This surface after a rigid motion in scene space.
@@ -34,7 +34,7 @@ impl Surface {
             + self.normals.capacity() * size_of::<Vec3>()
             + self.triangles.capacity() * size_of::<[u32; 3]>()
             + self.triangle_materials.capacity() * size_of::<u32>()
-            + self.sources.capacity() * size_of::<Source>()
+            + self.sources.capacity() * size_of::<FileTriangle>()
     }
 }
 

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DMat4, DVec3, Vec3};
 
-use super::{Source, Surface, SurfaceError};
+use super::{FileTriangle, Surface, SurfaceError};
 use crate::hash::FastMap;
 use crate::scene::{Mesh, Object};
 
@@ -31,7 +31,7 @@ pub(super) fn weld(object: &Object, scene_from_object: DMat4) -> Result<Surface,
         let [a, b, c] = *triangle;
         let mirrored = determinant < 0.0;
         let corners = if mirrored { [a, c, b] } else { [a, b, c] };
-        let source = Source::new(index as u32, mirrored);
+        let source = FileTriangle::new(index as u32, mirrored);
         welder.add(corners, source, material, object.materials[material as usize].double_sided);
     }
     Ok(welder.welded)
@@ -48,7 +48,7 @@ struct Welder {
 }
 
 impl Welder {
-    fn add(&mut self, mut corners: [u32; 3], mut source: Source, material: u32, double_sided: bool) {
+    fn add(&mut self, mut corners: [u32; 3], mut source: FileTriangle, material: u32, double_sided: bool) {
         let [a, b, c] = corners.map(|corner| self.positions[corner as usize]);
         let Some(mut front) = geometric_normal(a, b, c) else {
             self.welded.dropped += 1;
@@ -60,7 +60,7 @@ impl Welder {
             // Its front is where the normals point.
             corners.swap(1, 2);
             normals.swap(1, 2);
-            source = Source::new(source.triangle() as u32, !source.turned());
+            source = FileTriangle::new(source.triangle() as u32, !source.turned());
             front = -front;
         } else if opposes {
             // Its front is the counter-clockwise side, whatever the normals say.

@@ -10,15 +10,15 @@ use crate::world::{Emitter, World, visible_light};
 
 /// How many samples each light gets, for a nominal number per element.
 #[derive(Clone, Debug)]
-pub(crate) struct DirectLight {
-    /// Samples per emitter, in the order of `Emitters::all`.
+pub struct DirectLight {
+    /// Samples per emitter, in the order of [`World::emitters`], then of what comes evenly from outside.
     pub samples: Vec<u32>,
 }
 
 impl DirectLight {
     /// Splits `samples` between the lights that are aimed at by power; lights without extent take one, exactly. Each sky
     /// gets all of them: a hemisphere is large.
-    pub(crate) fn new(world: &World, samples: u32) -> DirectLight {
+    pub fn new(world: &World, samples: u32) -> DirectLight {
         let emitters = &world.emitters;
         let count = emitters.list.len().max(1) as f32;
         let total = samples as f32 * count.sqrt();

@@ -8,7 +8,7 @@ use crate::world::World;
 
 /// A reflecting point that a ray met, seen from the side of the ray.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Surfel {
+pub struct Surfel {
     /// Scene space.
     pub position: Vec3,
     /// Unit geometric normal on the side that the ray came from.
@@ -30,7 +30,7 @@ pub(crate) struct Surfel {
 impl Surfel {
     /// Resolves a hit; none where the side that was met reflects nothing.
     #[inline]
-    pub(crate) fn new(world: &World, ray: &Ray, hit: &Hit) -> Option<Surfel> {
+    pub fn new(world: &World, ray: &Ray, hit: &Hit) -> Option<Surfel> {
         let (mut surfel, part) = Surfel::reflecting(world, ray, hit)?;
         Spot { cell: surfel.cell, footprint: surfel.footprint, albedo: surfel.albedo } =
             world.space.spot(hit, part, surfel.is_back);
@@ -40,7 +40,7 @@ impl Surfel {
     /// Resolves a hit whose light nobody looks up: without footprint, and quicker where the albedo is the same all
     /// over.
     #[inline]
-    pub(crate) fn without_light(world: &World, ray: &Ray, hit: &Hit) -> Option<Surfel> {
+    pub fn without_light(world: &World, ray: &Ray, hit: &Hit) -> Option<Surfel> {
         let (mut surfel, part) = Surfel::reflecting(world, ray, hit)?;
         if part.albedos.is_some() {
             surfel.albedo = world.space.spot(hit, part, surfel.is_back).albedo;
@@ -101,7 +101,7 @@ impl Surfel {
 
     /// Where rays start that leave it.
     #[inline]
-    pub(crate) fn ray_origin(&self) -> Vec3 {
+    pub fn ray_origin(&self) -> Vec3 {
         self.position + self.normal * self.offset
     }
 

@@ -15,17 +15,19 @@ const CHUNK: usize = 64;
 const LONG_CHUNK: usize = 4096;
 
 /// A running job's ray counter and cancel flag, shared by all threads and touched once per chunk.
-pub(crate) struct Work<'a> {
+pub struct Work<'a> {
     observer: &'a dyn Observer,
     rays: AtomicU64,
 }
 
 impl<'a> Work<'a> {
-    pub(crate) fn new(observer: &'a dyn Observer) -> Work<'a> {
+    /// Of a job that nobody counts the rays of yet.
+    pub fn new(observer: &'a dyn Observer) -> Work<'a> {
         Work { observer, rays: AtomicU64::new(0) }
     }
 
-    pub(crate) fn rays(&self) -> u64 {
+    /// Rays counted so far.
+    pub fn rays(&self) -> u64 {
         self.rays.load(Ordering::Relaxed)
     }
 
@@ -44,7 +46,7 @@ impl<'a> Work<'a> {
     }
 
     /// Evaluates `f(index, slot, &mut rays)` for all slots in parallel. Results do not depend on how the work is cut.
-    pub(crate) fn map<T: Send + Clone + Default>(
+    pub fn map<T: Send + Clone + Default>(
         &self,
         slots: &[u32],
         f: impl Fn(usize, u32, &mut u64) -> T + Sync,

@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use super::emitters::{Emissive, EmissiveTriangle};
 use super::openings::Openings;
 use super::{Coarse, Emitters, Placed, Resolution, Trees, Validity, World, WorldError, WorldOptions, probe};
+use crate::allowed::check_spacing;
 use crate::bvh::{BuildQuality, Bvh};
 use crate::scene::{Object, Scene};
 use crate::space::{Albedo, Albedos, Density, Elements, Layout, Space, object_areas};
@@ -73,10 +74,10 @@ fn density_of(options: &WorldOptions, areas: &[f64]) -> Result<Density, WorldErr
     };
     let density = Density { object_squares: options.object_squares.unwrap_or(density.object_squares), ..density };
     let Density { spacing, object_squares } = density;
-    match spacing.is_finite() && spacing > 0.0 {
-        true if object_squares > 0.0 => Ok(density),
-        true => Err(WorldError::ObjectSquares(object_squares)),
-        false => Err(WorldError::Spacing(spacing)),
+    check_spacing(spacing).map_err(WorldError::Spacing)?;
+    match object_squares > 0.0 {
+        true => Ok(density),
+        false => Err(WorldError::ObjectSquares(object_squares)),
     }
 }
 

@@ -2,8 +2,9 @@
 
 use glam::{DMat4, Vec3};
 
-use crate::edit::{EditError, EditErrorKind};
-use crate::scene::LightKind;
+use crate::allowed::Allowed;
+use crate::edit::{Edit, EditError, EditErrorKind};
+use crate::scene::{Light, LightKind};
 
 pub(super) fn error(field: &str, reason: impl Into<String>, kind: EditErrorKind) -> EditError {
     EditError { field: field.to_owned(), reason: reason.into(), kind }
@@ -32,16 +33,25 @@ pub(super) fn check_transform(m: &DMat4) -> Result<(), EditError> {
     Ok(())
 }
 
-pub(super) fn check_strength(color: Option<Vec3>, intensity: Option<f32>) -> Result<(), EditError> {
-    if color.is_some_and(|c| !c.is_finite() || c.cmplt(Vec3::ZERO).any()) {
-        return Err(invalid("color", "must hold three finite numbers of at least 0"));
-    }
-    if intensity.is_some_and(|i| !i.is_finite() || i < 0.0) {
-        return Err(invalid("intensity", "must be a finite number of at least 0"));
-    }
-    let strength = color.unwrap_or(Vec3::ONE) * intensity.unwrap_or(1.0);
-    if strength.max_element() > 1e12 {
-        return Err(invalid("intensity", "colour times intensity must not pass 1e12"));
+pub(super) fn check_strength(allowed: Allowed, color: Option<Vec3>, intensity: Option<f32>) -> Result<(), EditError> {
+    allowed.check_strength(color, intensity).map_err(|error| invalid(error.field, &error.reason))
+}
+
+pub(super) fn check_name(allowed: Allowed, name: &str) -> Result<(), EditError> {
+    allowed.check_name(name).map_err(|reason| invalid("name", &reason))
+}
+
+/// Refuses lights that are relit to more than is possible by colour and intensity together, one of which may be from
+/// before. One that is gone by the end of the request is nobody's concern.
+pub(super) fn check_relit(allowed: Allowed, edits: &[Edit], lights: &[Light]) -> Result<(), EditError> {
+    for (i, edit) in edits.iter().enumerate() {
+        let Edit::Relight { lights: relit } = edit else { continue };
+        for (k, relight) in relit.iter().enumerate() {
+            let Some(light) = lights.iter().find(|light| light.name == relight.light) else { continue };
+            let field = if relight.intensity.is_some() { "intensity" } else { "color" };
+            let told = |reason: String| invalid(&format!("edits[{i}].lights[{k}].{field}"), &reason);
+            allowed.check_product(light.color, light.intensity).map_err(told)?;
+        }
     }
     Ok(())
 }
@@ -69,5 +79,58 @@ pub(super) fn check_kind(kind: &LightKind) -> Result<(), EditError> {
         Ok(())
     } else {
         Err(invalid("light", "position and direction must be finite, and the direction not zero"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::edit::Relight;
+    use crate::scene::{Material, Mesh, Object, Scene};
+    use crate::world::{World, WorldOptions};
+
+    fn world() -> World {
+        let plate = Mesh::quad(Vec3::ZERO, Vec3::X, Vec3::Z);
+        let scene = Scene::from_objects(vec![Object::new("plate", plate, Material::diffuse(Vec3::splat(0.5)))]);
+        World::new(scene, &WorldOptions { spacing: Some(0.5), ..WorldOptions::default() }).expect("a world")
+    }
+
+    fn lamp(name: &str, color: f32, intensity: f32) -> Edit {
+        let (name, color) = (name.to_owned(), Vec3::splat(color));
+        Edit::InsertLight { name, kind: LightKind::Environment, color, intensity }
+    }
+
+    /// Edits that an earlier version has accepted are applied again, whatever bounds it had.
+    #[test]
+    fn what_was_accepted_once_is_applied_again() {
+        let world = world();
+        let long = "n".repeat(300);
+        for (edit, field) in [
+            (lamp("lamp", 1e5, 1e6), "edits[0].intensity"),
+            (lamp(&long, 1.0, 1.0), "edits[0].name"),
+            (lamp("a\u{7}", 1.0, 1.0), "edits[0].name"),
+        ] {
+            let edits = [edit];
+            assert_eq!(world.apply(&edits).expect_err("too much now").field, field);
+            assert_eq!(world.apply_again(&edits).expect("accepted once").after.scene.lights.len(), 1);
+        }
+        assert!(world.apply_again(&[lamp("lamp", f32::NAN, 1.0)]).is_err());
+    }
+
+    /// Colour and intensity may be given apart: together they are bounded all the same.
+    #[test]
+    fn lights_are_relit_to_what_they_may_have() {
+        let relight = |color: Option<f32>, intensity| {
+            let relight = Relight { light: "lamp".to_owned(), color: color.map(Vec3::splat), intensity };
+            Edit::Relight { lights: vec![relight] }
+        };
+        let lit = world().apply(&[lamp("lamp", 1e5, 1.0)]).expect("a light").after;
+        assert_eq!(
+            lit.apply(&[relight(None, Some(1e5))]).expect_err("too bright").field,
+            "edits[0].lights[0].intensity"
+        );
+        let both = [relight(None, Some(1e5)), relight(Some(1.0), None)];
+        assert!(lit.apply(&both).is_ok(), "what counts is the end of the request");
+        assert!(lit.apply_again(&both[..1]).is_ok());
     }
 }

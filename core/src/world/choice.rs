@@ -87,7 +87,7 @@ impl Emitter {
 
     /// Whether all of it lies below a surface's horizon.
     #[inline]
-    pub(crate) fn is_below_horizon(&self, point: Vec3, n: Vec3) -> bool {
+    pub fn is_below_horizon(&self, point: Vec3, n: Vec3) -> bool {
         match self.sphere() {
             Some((center, radius)) => n.dot(center - point) <= -radius,
             None => false,

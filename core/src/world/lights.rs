@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use glam::Vec3;
 
 use super::apply::Draft;
-use super::check::{check_kind, check_strength, error, invalid};
+use super::check::{check_kind, check_name, check_strength, error, invalid};
 use crate::edit::{EditError, EditErrorKind, Relight};
 use crate::lightmap::MAX_GROUPS;
 use crate::scene::{ENVIRONMENT, Light, LightKind};
@@ -13,7 +13,7 @@ use crate::scene::{ENVIRONMENT, Light, LightKind};
 impl Draft {
     pub(super) fn relight(&mut self, relight: &Relight) -> Result<(), EditError> {
         let index = self.light_index("light", &relight.light)?;
-        check_strength(relight.color, relight.intensity)?;
+        check_strength(self.allowed, relight.color, relight.intensity)?;
         let light = &mut self.scene_mut().lights[index];
         light.color = relight.color.unwrap_or(light.color);
         light.intensity = relight.intensity.unwrap_or(light.intensity);
@@ -22,7 +22,7 @@ impl Draft {
 
     /// Light from outside takes the place of what there is of it.
     pub(super) fn set_sky(&mut self, kind: &LightKind, color: Vec3, intensity: f32) -> Result<(), EditError> {
-        check_strength(Some(color), Some(intensity))?;
+        check_strength(self.allowed, Some(color), Some(intensity))?;
         check_kind(kind)?;
         if !kind.is_from_outside() {
             return Err(invalid("kind", "must be light from outside"));
@@ -50,9 +50,7 @@ impl Draft {
     }
 
     pub(super) fn group_lights(&mut self, group: Option<&str>, lights: &[String]) -> Result<(), EditError> {
-        if group.is_some_and(|name| name.is_empty() || name.len() > 256) {
-            return Err(invalid("name", "must have 1 to 256 bytes"));
-        }
+        group.map_or(Ok(()), |name| check_name(self.allowed, name))?;
         if lights.is_empty() {
             return Err(invalid("lights", "is empty"));
         }

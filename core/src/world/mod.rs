@@ -1,6 +1,7 @@
 //! A scene made ready for transport: surfaces, elements, trees, emitters. Immutable; an edit makes the next one
 //! ([`World::apply`]) and shares with it all that did not change.
 
+mod apart;
 mod apply;
 mod arriving;
 mod build;
@@ -10,10 +11,12 @@ mod choice;
 mod coarse;
 mod delivered;
 mod emitters;
+mod finish;
 mod hide;
 mod info;
 mod lights;
 mod motion;
+mod objects;
 mod openings;
 mod paint;
 mod probe;
@@ -30,11 +33,13 @@ pub use info::{LightInfo, ObjectInfo};
 pub use transition::Transition;
 pub use trees::Trees;
 
-pub(crate) use arriving::{arriving, arriving_in_space, arriving_on_side, visible_light};
+pub use arriving::{arriving, visible_light};
+pub(crate) use arriving::{arriving_in_space, arriving_on_side};
 pub(crate) use coarse::Coarse;
-pub(crate) use emitters::{Emitter, Emitters, Shape, sky};
+pub use emitters::{Emitter, LightSample};
+pub(crate) use emitters::{Emitters, Shape, sky};
 pub(crate) use sight::Hidden;
-pub(crate) use validity::Validity;
+pub use validity::Validity;
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -108,9 +113,9 @@ impl Default for WorldOptions {
 /// Why a scene cannot be made ready.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum WorldError {
-    /// `spacing` is not a finite positive number.
-    #[error("spacing: must be a finite number above 0, not {0}")]
-    Spacing(f32),
+    /// `spacing` is none that elements may have.
+    #[error("spacing: {0}")]
+    Spacing(String),
     /// The squares that an object may have are none.
     #[error("object_squares: must be a number above 0, not {0}")]
     ObjectSquares(f64),
@@ -142,19 +147,19 @@ pub enum WorldError {
 
 /// One object, subdivided and placed.
 #[derive(Debug)]
-pub(crate) struct Placed {
+pub struct Placed {
     /// Never used again within a scene's life.
     pub key: u32,
     /// The triangles of the file, in scene space.
     pub surface: Arc<Surface>,
     /// Its triangles that let light through, where there are any.
-    pub see_through: Option<Arc<SeeThrough>>,
+    pub(crate) see_through: Option<Arc<SeeThrough>>,
     /// Per material, where its emission varies: what shines. Empty where none does.
-    pub facets: Vec<Option<Arc<Facets>>>,
+    pub(crate) facets: Vec<Option<Arc<Facets>>>,
     /// How its elements are laid out.
-    pub layout: Arc<Layout>,
+    pub(crate) layout: Arc<Layout>,
     /// Subset for smooth light, over the front's elements.
-    pub coarse: Arc<Coarse>,
+    pub(crate) coarse: Arc<Coarse>,
     /// Slots.
     pub placement: Placement,
     /// The back has elements of its own.
@@ -342,7 +347,7 @@ impl World {
 
     /// Where rays of an element start.
     #[inline]
-    pub(crate) fn ray_origin(&self, slot: usize) -> (Vec3, Vec3) {
+    pub fn ray_origin(&self, slot: usize) -> (Vec3, Vec3) {
         let n = self.normals()[slot];
         (self.positions()[slot] + n * self.space.slots().offset(slot), n)
     }

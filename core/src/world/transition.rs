@@ -29,7 +29,7 @@ pub struct Transition {
     /// Elements without an old value that is worth anything: of inserted and moved objects, and those that were invalid
     /// (inside a solid or behind a surface) and are so no more. Valid ones only, ascending.
     pub(crate) new_rows: Vec<u32>,
-    /// Those of them that belong to objects that stay: they had values copied from neighbours.
+    /// Those of them that belong to unchanged objects: they had values copied from neighbours.
     pub(crate) filled_rows: Vec<u32>,
 }
 
@@ -108,12 +108,12 @@ impl Transition {
         slots.map(|slot| if self.keeps(slot) { value(slot) } else { T::default() }).collect()
     }
 
-    /// Corners of everything that came or went.
+    /// Corners of everything that was inserted or removed.
     pub(crate) fn changed_triangles(&self) -> Vec<[Vec3; 3]> {
         build::corners_of(self.changed_objects()).0
     }
 
-    /// Boxes around every object that came or went, where it was and where it is.
+    /// Boxes around every object that was inserted, removed or moved, where it was and where it is.
     pub(crate) fn changed_bounds(&self) -> Vec<(Vec3, Vec3)> {
         self.changed_objects().into_iter().map(|p| p.surface.bounds()).collect()
     }

@@ -33,7 +33,7 @@ impl Trees {
     /// The closest hit in any tree of what light meets there. What lets light through is met by chance: as often as it is
     /// opaque. See [`Trees::first_hit`] for what is left of the light then.
     #[inline(always)]
-    pub(crate) fn closest_hit(&self, ray: &Ray) -> Option<Hit> {
+    pub fn closest_hit(&self, ray: &Ray) -> Option<Hit> {
         match &self.openings {
             None => self.closest_of_all(ray),
             Some(openings) => self.closest_of(ray, &mut Chance::new(openings, ray)),
@@ -42,7 +42,7 @@ impl Trees {
 
     /// [`Trees::closest_hit`]; multiplies `light` by what tinted surfaces before it leave.
     #[inline(always)]
-    pub(crate) fn first_hit(&self, ray: &Ray, light: &mut Vec3) -> Option<Hit> {
+    pub fn first_hit(&self, ray: &Ray, light: &mut Vec3) -> Option<Hit> {
         match &self.openings {
             None => self.closest_of_all(ray),
             Some(openings) => self.first_hit_among(openings, ray, light),
@@ -60,7 +60,7 @@ impl Trees {
     }
 
     /// What tinted surfaces nearer than `t` leave of light along a ray that meets nothing before by chance.
-    pub(crate) fn tint(&self, ray: &Ray, t: f32) -> Vec3 {
+    pub fn tint(&self, ray: &Ray, t: f32) -> Vec3 {
         let Some(openings) = self.openings.as_ref().filter(|openings| openings.is_tinted()) else { return Vec3::ONE };
         let mut left = Left::of_passed(openings);
         self.any_of(&Ray { t_max: t.min(ray.t_max), ..*ray }, &mut left);
@@ -99,7 +99,7 @@ impl Trees {
 
     /// What is left of light between the ray's ends, linear RGB, each 0..=1: exact, not by chance.
     #[inline(always)]
-    pub(crate) fn transmittance(&self, ray: &Ray) -> Vec3 {
+    pub fn transmittance(&self, ray: &Ray) -> Vec3 {
         match &self.openings {
             None if self.any_of_all(ray) => Vec3::ZERO,
             None => Vec3::ONE,

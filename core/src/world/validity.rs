@@ -17,7 +17,7 @@ use crate::value::Value;
 
 /// Which elements cannot be computed, and where their values come from.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Validity {
+pub struct Validity {
     /// Invalid slots, ascending.
     invalid: Vec<u32>,
     /// Those of them that are not inside a solid, but behind a surface; ascending.
@@ -232,7 +232,7 @@ impl Validity {
 
 impl World {
     /// Validity while other trees stand in place of the world's, which differ from them within `bounds`.
-    pub(crate) fn validity_among(&self, trees: &Trees, bounds: (Vec3, Vec3)) -> Validity {
+    pub fn validity_among(&self, trees: &Trees, bounds: (Vec3, Vec3)) -> Validity {
         let world = World { trees: trees.clone(), ..self.clone() };
         let grown = (bounds.0 - self.spacing(), bounds.1 + self.spacing());
         Validity::updated(&self.validity, &world, &[], &[grown])

@@ -3,6 +3,8 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use super::misread::tagged;
+
 /// Changes colour or intensity of lights.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -38,18 +40,18 @@ pub struct InsertLight {
     pub light: NewLight,
 }
 
-/// A light to add.
-#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
-#[serde(tag = "kind", rename_all = "snake_case")]
-pub enum NewLight {
-    /// Shines in all directions.
-    Point(PointLight),
-    /// Shines in a cone.
-    Spot(SpotLight),
-    /// Shines from afar.
-    Directional(DirectionalLight),
-    /// Constant radiance from outside.
-    Environment(EnvironmentLight),
+tagged! {
+    /// A light to add.
+    pub enum NewLight by "kind" {
+        /// Shines in all directions.
+        Point(PointLight) = "point",
+        /// Shines in a cone.
+        Spot(SpotLight) = "spot",
+        /// Shines from afar.
+        Directional(DirectionalLight) = "directional",
+        /// Constant radiance from outside.
+        Environment(EnvironmentLight) = "environment",
+    }
 }
 
 /// Shines in all directions.

@@ -1,16 +1,68 @@
-//! What edits say of lights, checked.
+//! What edits say of lights, checked, in the engine's terms.
 
 use glam::{DVec3, Vec3};
+use rebake_core::allowed::Allowed;
 use rebake_core::scene::LightKind;
 
-use super::edit_parse::{check_name, join};
-use super::edit_types::NewLight;
+use super::checks::{check_group, check_name, check_strength};
+use super::edit_parse::finite;
+use super::edit_types::{GroupLights, InsertLight, MoveLight, NewLight, Relight};
+use super::misread::join;
 use super::problem::{ApiResult, Kind, Problem};
-use super::types::dvec3;
-use crate::engine::{Edit, SHARED_LAYER, Scene};
+use super::types::{dvec3, vec3};
+use crate::engine::{self, Edit};
+
+pub(super) fn relight(relight: &Relight, path: &str, allowed: Allowed) -> ApiResult<Edit> {
+    names_lights(relight.lights.len(), path)?;
+    let mut lights = Vec::with_capacity(relight.lights.len());
+    for (i, one) in relight.lights.iter().enumerate() {
+        let at = join(path, &format!("lights[{i}]"));
+        if one.color.is_none() && one.intensity.is_none() {
+            let reason = "neither it nor `color` is given";
+            return Err(Problem::field(Kind::InvalidValue, join(&at, "intensity"), reason));
+        }
+        check_strength(allowed, one.color.as_ref(), one.intensity, &at)?;
+        let (color, intensity) = (one.color.map(vec3), one.intensity);
+        lights.push(engine::Relight { light: one.light.clone(), color, intensity });
+    }
+    Ok(Edit::Relight { lights })
+}
+
+pub(super) fn insert(new: &InsertLight, path: &str, allowed: Allowed) -> ApiResult<Edit> {
+    check_name(allowed, &new.name, &join(path, "name"))?;
+    let at = join(path, "light");
+    let (kind, color, intensity) = light_kind(&new.light, &at)?;
+    check_strength(allowed, Some(&color), Some(intensity), &at)?;
+    Ok(Edit::InsertLight { name: new.name.clone(), kind, color: vec3(color), intensity })
+}
+
+/// A light that is dragged gets a layer of its own.
+pub(super) fn move_one(place: &MoveLight, path: &str) -> ApiResult<Edit> {
+    if place.position.is_none() && place.direction.is_none() {
+        let reason = "neither it nor `direction` is given";
+        return Err(Problem::field(Kind::InvalidValue, join(path, "position"), reason));
+    }
+    place.position.map_or(Ok(()), |position| finite(path, "position", &position))?;
+    let direction = place.direction.map(|d| unit(d, &join(path, "direction"))).transpose()?;
+    let position = place.position.map(dvec3);
+    Ok(Edit::MoveLight { light: place.light.clone(), position, direction, own_layer: place.drag })
+}
+
+pub(super) fn group(group: &GroupLights, path: &str, allowed: Allowed) -> ApiResult<Edit> {
+    group.name.as_ref().map_or(Ok(()), |name| check_group(allowed, name, &join(path, "name")))?;
+    names_lights(group.lights.len(), path)?;
+    Ok(Edit::GroupLights { group: group.name.clone(), lights: group.lights.clone() })
+}
+
+fn names_lights(count: usize, path: &str) -> ApiResult<()> {
+    match count {
+        0 => Err(Problem::field(Kind::InvalidValue, join(path, "lights"), "names no light")),
+        _ => Ok(()),
+    }
+}
 
 /// The engine's kind of a new light, its colour and intensity.
-pub(super) fn light_kind(light: &NewLight, path: &str) -> ApiResult<(LightKind, [f32; 3], f32)> {
+fn light_kind(light: &NewLight, path: &str) -> ApiResult<(LightKind, [f32; 3], f32)> {
     let place = |position: &[f64; 3]| match position.iter().all(|x| x.is_finite()) {
         true => Ok(dvec3(*position)),
         false => Err(Problem::field(Kind::InvalidValue, join(path, "position"), "has to be finite")),
@@ -57,60 +109,9 @@ pub(super) fn light_kind(light: &NewLight, path: &str) -> ApiResult<(LightKind, 
     })
 }
 
-pub(super) fn unit(direction: [f32; 3], field: &str) -> ApiResult<Vec3> {
+fn unit(direction: [f32; 3], field: &str) -> ApiResult<Vec3> {
     let direction = DVec3::from_array(direction.map(f64::from));
     let unit = direction.try_normalize().filter(|unit| unit.is_finite());
     let unit = unit.ok_or_else(|| Problem::field(Kind::InvalidValue, field, "has to be finite and not zero"))?;
     Ok(unit.as_vec3())
-}
-
-/// Colours and intensities beyond it are mistakes; below it nothing overflows.
-pub(super) const BRIGHTEST: f32 = 1e9;
-
-pub(super) fn check_strength(color: Option<&[f32; 3]>, intensity: Option<f32>, path: &str) -> ApiResult<()> {
-    let ok = |x: &f32| (0.0..=BRIGHTEST).contains(x);
-    if color.is_some_and(|color| !color.iter().all(ok)) {
-        let reason = format!("each has to be at least 0 and at most {BRIGHTEST:e}");
-        return Err(Problem::field(Kind::InvalidValue, join(path, "color"), reason));
-    }
-    if intensity.is_some_and(|intensity| !ok(&intensity)) {
-        let reason = format!("has to be at least 0 and at most {BRIGHTEST:e}");
-        return Err(Problem::field(Kind::InvalidValue, join(path, "intensity"), reason));
-    }
-    if color.is_none() && intensity.is_none() {
-        return Err(Problem::field(Kind::InvalidValue, join(path, "intensity"), "neither it nor `color` is given"));
-    }
-    Ok(())
-}
-
-/// Refuses lights that are relit to more than is possible by colour and intensity together, one of which may be from
-/// before. `path`: where the edit at an index stands.
-pub(super) fn check_products(edits: &[Edit], scene: &Scene, path: impl Fn(usize) -> String) -> ApiResult<()> {
-    for (i, edit) in edits.iter().enumerate() {
-        let Edit::Relight { lights } = edit else { continue };
-        for (k, relight) in lights.iter().enumerate() {
-            // One that is gone by the end of the request is nobody's concern.
-            let Some(light) = scene.lights.iter().find(|light| light.name == relight.light) else { continue };
-            if !(light.color * light.intensity).cmple(Vec3::splat(BRIGHTEST)).all() {
-                let field = if relight.intensity.is_some() { "intensity" } else { "color" };
-                let reason = format!("color × intensity has to be at most {BRIGHTEST:e}");
-                return Err(Problem::field(
-                    Kind::InvalidValue,
-                    join(&path(i), &format!("lights[{k}].{field}")),
-                    reason,
-                ));
-            }
-        }
-    }
-    Ok(())
-}
-
-/// A name for a group of lights and their layer.
-pub(super) fn check_group(name: &str, field: &str, max_chars: usize) -> ApiResult<()> {
-    check_name(name, field, max_chars)?;
-    if name == SHARED_LAYER {
-        let reason = format!("{name:?} is the layer of the lights that are in no group");
-        return Err(Problem::field(Kind::InvalidValue, field, reason));
-    }
-    Ok(())
 }

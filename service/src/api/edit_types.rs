@@ -1,6 +1,7 @@
 //! Edit requests as JSON.
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::{Map, Value};
 use utoipa::ToSchema;
 
 pub use super::edit_light_types::{
@@ -8,9 +9,10 @@ pub use super::edit_light_types::{
     RemoveLight, Sky, SpotLight,
 };
 use super::job_types::JobPriority;
+use super::misread::{FromFields, Misread, from_value, tagged, take};
 
 /// One edit with its budget and focus, or several as one job.
-#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Debug, Serialize, ToSchema)]
 #[serde(untagged)]
 pub enum EditRequest {
     /// Several, applied as a unit or not at all.
@@ -41,7 +43,7 @@ pub struct EditList {
 }
 
 /// One edit.
-#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Debug, Serialize, ToSchema)]
 pub struct SingleEdit {
     /// What to change.
     #[serde(flatten)]
@@ -60,38 +62,72 @@ pub struct SingleEdit {
     pub priority: Option<JobPriority>,
 }
 
-/// What to change.
-#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
-#[serde(tag = "op", rename_all = "snake_case")]
-pub enum EditOp {
-    /// Puts an asset into the scene.
-    Insert(Insert),
-    /// Takes objects out.
-    Remove(Remove),
-    /// Gives an object a new place.
-    Move(Move),
-    /// Repaints an object, or a material.
-    Material(Repaint),
-    /// Takes objects out of the light, to come back later.
-    Hide(Hide),
-    /// Brings hidden objects back.
-    Show(Show),
-    /// Takes the last edit request back that was not taken back yet; stands alone in its request.
-    Undo(Undo),
-    /// Makes the last edit request that was taken back again; stands alone in its request.
-    Redo(Redo),
-    /// Changes colour or intensity of lights.
-    Relight(Relight),
-    /// Adds a light.
-    InsertLight(InsertLight),
-    /// Gives the scene its light from outside.
-    Sky(Sky),
-    /// Takes a light away.
-    RemoveLight(RemoveLight),
-    /// Moves or turns a light.
-    MoveLight(MoveLight),
-    /// Lets lights share a layer of the light map.
-    GroupLights(GroupLights),
+impl FromFields for EditRequest {
+    /// A list where there is one, else an edit.
+    fn from_fields(fields: Map<String, Value>) -> Result<EditRequest, Misread> {
+        match fields.contains_key("edits") {
+            true => from_value(fields.into()).map(EditRequest::Many),
+            false => SingleEdit::from_fields(fields).map(EditRequest::One),
+        }
+    }
+}
+
+impl FromFields for SingleEdit {
+    fn from_fields(mut fields: Map<String, Value>) -> Result<SingleEdit, Misread> {
+        Ok(SingleEdit {
+            budget: take(&mut fields, "budget")?.flatten(),
+            focus: take(&mut fields, "focus")?.flatten(),
+            tiles: take(&mut fields, "tiles")?.flatten(),
+            priority: take(&mut fields, "priority")?.flatten(),
+            op: EditOp::from_fields(fields)?,
+        })
+    }
+}
+
+impl<'de> Deserialize<'de> for EditRequest {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<EditRequest, D::Error> {
+        FromFields::from_object(deserializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for SingleEdit {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<SingleEdit, D::Error> {
+        FromFields::from_object(deserializer)
+    }
+}
+
+tagged! {
+    /// What to change.
+    pub enum EditOp by "op" {
+        /// Puts an asset into the scene.
+        Insert(Insert) = "insert",
+        /// Takes objects out.
+        Remove(Remove) = "remove",
+        /// Gives an object a new place.
+        Move(Move) = "move",
+        /// Repaints an object, or a material.
+        Material(Repaint) = "material",
+        /// Takes objects out of the light, to come back later.
+        Hide(Hide) = "hide",
+        /// Brings hidden objects back.
+        Show(Show) = "show",
+        /// Takes the last edit request back that was not taken back yet; stands alone in its request.
+        Undo(Undo) = "undo",
+        /// Makes the last edit request that was taken back again; stands alone in its request.
+        Redo(Redo) = "redo",
+        /// Changes colour or intensity of lights.
+        Relight(Relight) = "relight",
+        /// Adds a light.
+        InsertLight(InsertLight) = "insert_light",
+        /// Gives the scene its light from outside.
+        Sky(Sky) = "sky",
+        /// Takes a light away.
+        RemoveLight(RemoveLight) = "remove_light",
+        /// Moves or turns a light.
+        MoveLight(MoveLight) = "move_light",
+        /// Lets lights share a layer of the light map.
+        GroupLights(GroupLights) = "group_lights",
+    }
 }
 
 /// Puts an asset into the scene as one object.

@@ -7,13 +7,15 @@ use axum::extract::State;
 use axum::http::{HeaderMap, HeaderName, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
+use rebake_core::allowed::Allowed;
 use serde_json::Value;
 
+use super::edit_beside::{to_budget, to_focus, to_tiles};
 use super::edit_names::check_names;
-use super::edit_parse::{Parsed, parse, to_budget, to_edits, to_focus, to_tiles, used_assets};
+use super::edit_parse::{Parsed, parse, to_edits, used_assets};
 use super::edit_types::{self, EditRequest};
 use super::extract::{ApiPath, ETags, read_body, require_content_type, text_header};
-use super::layers::check_edits;
+use super::layers;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::{Job, to_event_data};
 use super::uploads::{full_problem, memory_problem};
@@ -132,8 +134,8 @@ struct Request {
 fn read_request(app: &App, head: &Head, body: &[u8]) -> ApiResult<Request> {
     let limits = &app.config.limits;
     let parsed = parse(body, limits.edits_per_request)?;
-    check_names(&parsed, limits.name_chars)?;
-    let edits = to_edits(&parsed, &app.assets, &head.history, limits.name_chars)?;
+    check_names(&parsed)?;
+    let edits = to_edits(&parsed, &app.assets, &head.history, Allowed::ASKED)?;
     let budget = to_budget(parsed.budget, "budget", app.config.defaults.edit_samples, &app.config)?;
     let importance = read_importance(&parsed, &head.world, &app.config)?;
     let priority = parsed.priority;
@@ -171,9 +173,9 @@ fn accept(
         true => None,
         false => Some(head.world.apply(&edits).map_err(|error| edit_problem(error, parsed.is_list))?),
     };
-    let mut layers = None;
+    let mut room_of_layers = None;
     if let Some(transition) = &transition {
-        layers = Some(check_edits(app, scene, &transition.after, &edits, parsed.is_list)?);
+        room_of_layers = Some(layers::room_for(app, scene, &transition.after, &edits)?);
         app.pictures.remember(scene.number, scene.published());
     }
     let mut jobs = head.jobs;
@@ -198,7 +200,7 @@ fn accept(
         head.sequence = sequence;
         scene.set_accepted_edits(sequence);
         scene.set_accepted_bytes(head.world.memory_bytes() as u64);
-        layers.iter().for_each(|room| scene.expect_layers(room.expected));
+        room_of_layers.iter().for_each(|room| scene.expect_layers(room.expected));
         Unlit { sequence, transition: Arc::new(transition), edits: edits.into() }
     });
     head.jobs = jobs;
@@ -242,7 +244,7 @@ pub fn read_edits(
     let parsed = parse(body, config.limits.edits_per_request).map_err(told)?;
     to_budget(parsed.budget, "budget", config.defaults.edit_samples, &config).map_err(told)?;
     read_importance(&parsed, world, &config).map_err(told)?;
-    to_edits(&parsed, &held, &History::new(0), config.limits.name_chars).map_err(told)
+    to_edits(&parsed, &held, &History::new(0), Allowed::ASKED).map_err(told)
 }
 
 /// Reads a focus as an edit carries it, for a scene with these cameras.

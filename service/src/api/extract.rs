@@ -11,7 +11,7 @@ use bytes::{Bytes, BytesMut};
 use http_body_util::BodyExt;
 use serde::de::DeserializeOwned;
 
-use super::edit_parse::read;
+use super::misread::read;
 use super::problem::{ApiResult, Kind, Problem};
 use crate::memory::Promise;
 use crate::state::App;

@@ -124,7 +124,7 @@ async fn show_what_is_left(app: &std::sync::Arc<App>, job: &Job) -> ApiResult<()
     let Some(scene) = app.ids.parse_scene(&job.scene).and_then(|number| app.scenes.get(number)) else { return Ok(()) };
     let accepted = scene.head.lock().await.sequence;
     let its_app = app.clone();
-    Ok(app.compute.run(move || its_app.settle(&scene, accepted)).await?)
+    Ok(app.compute.run(move || its_app.show_accepted(&scene, accepted)).await?)
 }
 
 pub(super) fn find(app: &App, id: &str) -> ApiResult<(JobNumber, Job)> {

@@ -2,10 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use rebake_core::allowed::Allowed;
 use rebake_core::edit::{Effect, Property, Thing};
 use serde::Deserialize;
 
-use super::edit_lights::{check_group, check_products};
+use super::checks::check_group;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types;
 use super::uploads::memory_problem;
@@ -30,7 +31,7 @@ pub(super) enum Wanted {
 
 impl Wanted {
     /// Reads the query parameter `layers`.
-    pub(super) fn parse(text: &str, max_name: usize) -> ApiResult<Wanted> {
+    pub(super) fn parse(text: &str) -> ApiResult<Wanted> {
         match text {
             "shared" => return Ok(Wanted::Shared),
             "each" => return Ok(Wanted::Each),
@@ -48,7 +49,7 @@ impl Wanted {
             )));
         }
         for (name, lights) in &groups {
-            check_group(name, "layers", max_name)?;
+            check_group(Allowed::ASKED, name, "layers")?;
             if lights.is_empty() {
                 return Err(refused(format!("{name:?} names no light")));
             }
@@ -192,15 +193,8 @@ pub(super) struct Room<'a> {
     _promise: Promise<'a>,
 }
 
-/// Checks what edits want of lights beyond what the engine does: strengths that are absurd, and memory for more layers.
-pub(super) fn check_edits<'a>(
-    app: &'a App,
-    scene: &SceneEntry,
-    after: &World,
-    edits: &[Edit],
-    is_list: bool,
-) -> ApiResult<Room<'a>> {
-    check_products(edits, &after.scene, |i| if is_list { format!("edits[{i}]") } else { String::new() })?;
+/// Memory for the layers that edits may add to a scene.
+pub(super) fn room_for<'a>(app: &'a App, scene: &SceneEntry, after: &World, edits: &[Edit]) -> ApiResult<Room<'a>> {
     let published = scene.published();
     let count = expected(scene, &published, &after.scene, edits);
     let expected = (count * LAYER_BYTES * after.slots()) as u64;
@@ -246,7 +240,7 @@ mod tests {
 
     #[test]
     fn layers_of_an_upload_are_words_or_an_object() {
-        let parse = |text: &str| Wanted::parse(text, 100).map_err(|problem| problem.to_string());
+        let parse = |text: &str| Wanted::parse(text).map_err(|problem| problem.to_string());
         assert_eq!((parse("shared"), parse("each")), (Ok(Wanted::Shared), Ok(Wanted::Each)));
         let Ok(Wanted::Groups(groups)) = parse(r#"{"ceiling": ["a", "b"]}"#) else { panic!() };
         assert_eq!(groups["ceiling"], ["a", "b"]);

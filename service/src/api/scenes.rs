@@ -7,10 +7,12 @@ use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use rebake_core::allowed::Allowed;
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
-use super::edit_parse::{check_name, eye_target_up, to_budget};
+use super::checks::check_name;
+use super::edit_beside::{eye_target_up, to_budget};
 use super::edit_types::Budget;
 use super::extract::{ApiPath, ApiQuery, read_json};
 use super::layers;
@@ -96,7 +98,7 @@ pub(super) async fn patch(
     let scene = find_scene(&app, &id).await?;
     let ScenePatch { name, target } = read_json(&app, &headers, body).await?;
     if let Some(name) = &name {
-        check_name(name, "name", app.config.limits.name_chars)?;
+        check_name(Allowed::ASKED, name, "name")?;
     }
     let samples = app.config.defaults.bake_samples;
     let target = target.map(|target| to_budget(Some(target), "target", samples, &app.config)).transpose()?;

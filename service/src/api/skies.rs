@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use glam::Vec3;
+use rebake_core::allowed::Allowed;
 use rebake_core::scene::LightKind;
 
-use super::edit_lights::BRIGHTEST;
-use super::edit_parse::{check_strength, join};
 use super::edit_types;
+use super::misread::join;
 use super::problem::{ApiResult, Kind, Problem};
 use super::upload_query::CreateQuery;
 use crate::engine::{Edit, Outside, Scene, SkyPicture};
@@ -32,7 +32,7 @@ pub(super) fn asked_for(query: &CreateQuery) -> ApiResult<StoredOutside> {
     if query.environment.is_some() {
         return invalid("sky", "may not come with `environment`: a scene has one or the other");
     }
-    check_turn(query.sky_rotation, query.sky_strength, "sky_", Kind::InvalidQuery)?;
+    check_turn(Allowed::ASKED, query.sky_rotation, query.sky_strength, "sky_", Kind::InvalidQuery)?;
     let (rotation, strength) = (query.sky_rotation.unwrap_or(0.0), query.sky_strength.unwrap_or(1.0));
     Ok(StoredOutside { sky: Some(StoredSky { asset: asset.clone(), rotation, strength }), ..outside })
 }
@@ -48,23 +48,22 @@ pub(crate) fn outside(environment: Option<[f32; 3]>, asked_for: &StoredOutside, 
 }
 
 /// The engine's edit of the sky.
-pub(super) fn edit(sky: &edit_types::Sky, path: &str, assets: &Assets) -> ApiResult<Edit> {
+pub(super) fn edit(sky: &edit_types::Sky, path: &str, assets: &Assets, allowed: Allowed) -> ApiResult<Edit> {
     let intensity = sky.strength.unwrap_or(1.0);
-    check_turn(sky.rotation, sky.strength, &join(path, ""), Kind::InvalidValue)?;
+    let prefix = if path.is_empty() { String::new() } else { format!("{path}.") };
+    check_turn(allowed, sky.rotation, sky.strength, &prefix, Kind::InvalidValue)?;
     let (kind, color) = match (&sky.asset, &sky.radiance) {
         (Some(asset), None) => {
             let picture = picture(asset, &join(path, "asset"), assets)?;
             (turned(picture, sky.rotation.unwrap_or(0.0)), Vec3::ONE)
         }
         (None, Some(radiance)) => {
-            let at_strength = radiance.map(|x| x * intensity);
-            for radiance in [radiance, &at_strength] {
-                check_strength(Some(radiance), None, path).map_err(|_| {
-                    let reason = format!("each has to be 0 to {BRIGHTEST:e}, times `strength` as well");
-                    Problem::field(Kind::InvalidValue, join(path, "radiance"), reason)
-                })?;
-            }
-            (LightKind::Environment, Vec3::from_array(*radiance))
+            let radiance = Vec3::from_array(*radiance);
+            allowed.check_strength(Some(radiance), Some(intensity)).map_err(|_| {
+                let reason = format!("each has to be 0 to {:e}, times `strength` as well", allowed.brightest);
+                Problem::field(Kind::InvalidValue, join(path, "radiance"), reason)
+            })?;
+            (LightKind::Environment, radiance)
         }
         (Some(_), Some(_)) => {
             let reason = "may not come with `asset`: the sky is one or the other";
@@ -79,15 +78,18 @@ pub(super) fn edit(sky: &edit_types::Sky, path: &str, assets: &Assets) -> ApiRes
 }
 
 /// Checks rotation and strength, whose names begin with `prefix`.
-fn check_turn(rotation: Option<f32>, strength: Option<f32>, prefix: &str, kind: Kind) -> ApiResult<()> {
+fn check_turn(
+    allowed: Allowed,
+    rotation: Option<f32>,
+    strength: Option<f32>,
+    prefix: &str,
+    kind: Kind,
+) -> ApiResult<()> {
     if rotation.is_some_and(|rotation| !rotation.is_finite()) {
         return Err(Problem::field(kind, format!("{prefix}rotation"), "has to be finite"));
     }
-    if strength.is_some_and(|strength| !(0.0..=BRIGHTEST).contains(&strength)) {
-        let reason = format!("has to be at least 0 and at most {BRIGHTEST:e}");
-        return Err(Problem::field(kind, format!("{prefix}strength"), reason));
-    }
-    Ok(())
+    let told = allowed.check_strength(None, strength);
+    told.map_err(|error| Problem::field(kind, format!("{prefix}strength"), error.reason))
 }
 
 /// `rotation`: degrees.

@@ -1,53 +1,17 @@
 //! What travels as JSON. Inputs refuse fields they do not know; outputs may gain fields.
 
-use std::sync::Arc;
-
 use glam::{DMat4, DVec3, Vec3};
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::edit_types::Budget;
+pub(crate) use super::event_types::to_event_data;
+pub use super::event_types::{SceneChange, SceneEvent, SnapshotEvent};
 pub use super::job_types::{Job, JobKind, JobPriority, JobProgress, JobState};
+pub use super::light_types::{Light, PartName, SceneLayer, SceneLayerLight};
 use crate::engine;
 use crate::mode::Mode;
-use crate::store::versions::{Part, Wanted};
-
-/// What to fetch of a light map or a layer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum PartName {
-    /// Direct + indirect light.
-    Full,
-    /// Light straight from lights.
-    Direct,
-    /// Light after at least one bounce.
-    Indirect,
-    /// The standard error of each element (irradiance / π), of the light that is the scene's mode: three equal numbers,
-    /// infinite where nothing is known of it (in glTF the largest finite number).
-    Error,
-    /// Ambient occlusion: the share of the hemisphere above each element, weighted by the cosine, in which nothing lies
-    /// within `ao_distance`; three equal numbers. Computed when it is asked for. In files, not in deltas.
-    Ao,
-    /// From where the light of each element comes (the scene's mode): the first band of spherical harmonics of the
-    /// radiance that comes to its hemisphere, three RGB coefficients, of y, z and x. Gathered from the light map when
-    /// it is asked for. In `raw` the values of all elements for y, then z, then x; in pictures channels `y.R` and so
-    /// on. In files, not in deltas.
-    Directional,
-}
-
-impl PartName {
-    /// What of a light map or a layer it names; none of what is no light.
-    pub(super) fn of_light(self) -> Option<Wanted> {
-        match self {
-            PartName::Full => Some(Wanted::Light(Part::Full)),
-            PartName::Direct => Some(Wanted::Light(Part::Direct)),
-            PartName::Indirect => Some(Wanted::Light(Part::Indirect)),
-            PartName::Error => Some(Wanted::Error),
-            PartName::Ao | PartName::Directional => None,
-        }
-    }
-}
 
 /// Whether a scene can be worked with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -270,67 +234,6 @@ impl SceneObject {
     }
 }
 
-/// A light. Its strength is `color` × `intensity`, in the unit of its kind.
-#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
-pub struct Light {
-    /// Its name.
-    #[schema(example = "lamp")]
-    pub name: String,
-    /// `emissive`, `point`, `spot`, `directional` or `environment`.
-    #[schema(example = "point")]
-    pub kind: String,
-    /// Linear RGB factor.
-    pub color: [f32; 3],
-    /// Radiance (emissive, environment), candela (point, spot), lux (directional), or a factor on a picture of the sky.
-    #[schema(example = 40.0)]
-    pub intensity: f32,
-    /// The layer of the light map that holds its light; null while the map has no layers, or none of this light yet.
-    #[schema(example = "lamp")]
-    pub layer: Option<String>,
-    /// The object that emits.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub object: Option<String>,
-    /// Where it is.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub position: Option<[f64; 3]>,
-    /// Where it shines.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub direction: Option<[f32; 3]>,
-    /// Angle that the disc of a directional light takes up, radians.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub angle: Option<f32>,
-    /// By how much a picture of the sky is turned about +y, degrees; absent without a picture.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub rotation: Option<f32>,
-}
-
-/// A layer: the light of some lights at reference strengths.
-#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
-pub struct SceneLayer {
-    /// Its name: that of its group or its light, or `shared`.
-    #[schema(example = "ceiling")]
-    pub name: String,
-    /// What it counts in the light map at this version, per channel. A client that relights by itself takes the new
-    /// strength over the reference instead.
-    #[schema(example = json!([2.5, 2.25, 2]))]
-    pub weight: [f32; 3],
-    /// Its lights.
-    pub lights: Vec<SceneLayerLight>,
-    /// Memory that it takes: 36 bytes per element.
-    #[schema(example = 757_224)]
-    pub memory_bytes: u64,
-}
-
-/// A light of a layer.
-#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
-pub struct SceneLayerLight {
-    /// Name of the light.
-    #[schema(example = "lamp")]
-    pub name: String,
-    /// Strength (`color` × `intensity`) at which the layer holds its light.
-    pub reference: [f32; 3],
-}
-
 /// A camera of the file, as `eye`, `target`, `up` and `fov_y` of a focus or a picture.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Camera {
@@ -383,47 +286,6 @@ pub struct JobPage {
     pub next_cursor: Option<String>,
 }
 
-/// Data of a `snapshot` event: a new version is there.
-#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
-pub struct SnapshotEvent {
-    /// The scene's id.
-    pub scene: String,
-    /// The job that published it; none where no job waited and the map was refined in idle time.
-    pub job: Option<String>,
-    /// The new version.
-    pub version: u64,
-    /// Version at which elements, objects or lights last changed.
-    pub elements_version: u64,
-    /// Of the rounds so far, of the job or of this spell of idle time; absent where old light was carried over to new
-    /// geometry.
-    pub samples_per_element: Option<u32>,
-    /// Stated error of this version.
-    pub estimated_rmse: Option<f32>,
-}
-
-/// What happened to a scene.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum SceneChange {
-    /// Its objects, lights or elements changed.
-    Edited,
-    /// It is gone.
-    Deleted,
-}
-
-/// Data of a `scene` event.
-#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
-pub struct SceneEvent {
-    /// The scene's id.
-    pub scene: String,
-    /// What happened.
-    pub what: SceneChange,
-    /// The scene's version.
-    pub version: u64,
-    /// Version at which elements, objects or lights last changed.
-    pub elements_version: u64,
-}
-
 /// `/healthz` and `/readyz`.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Health {
@@ -435,12 +297,6 @@ pub struct Health {
 /// JSON has no NaN and no infinity.
 pub(crate) fn finite(x: f32) -> Option<f32> {
     x.is_finite().then_some(x)
-}
-
-/// One line of JSON.
-pub(crate) fn to_event_data(value: &impl Serialize) -> Arc<str> {
-    // Only maps with keys that are no strings can fail; there are none here.
-    serde_json::to_string(value).unwrap_or_default().into()
 }
 
 pub(crate) fn vec3(values: [f32; 3]) -> Vec3 {

@@ -1,10 +1,12 @@
 //! How to upload a scene: the query, and what it asks for.
 
+use rebake_core::allowed::{Allowed, check_spacing};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
 use super::atlas::{self, LayoutName};
-use super::edit_parse::{check_name, check_strength, to_budget};
+use super::checks::{check_name, check_strength};
+use super::edit_beside::to_budget;
 use super::edit_types::Budget;
 use super::layers::Wanted;
 use super::problem::{ApiResult, Kind, Problem};
@@ -121,9 +123,9 @@ impl Options {
         let (bake, has_target) = (query.bake.unwrap_or(true), query.target.is_some());
         let target = read_target(&query, app)?;
         let name = query.name.unwrap_or_else(|| "scene".to_owned());
-        check_name(&name, "name", app.config.limits.name_chars)?;
-        if query.spacing.is_some_and(|spacing| !(spacing.is_finite() && spacing > 0.0)) {
-            return Err(Problem::field(Kind::InvalidQuery, "spacing", "has to be above 0"));
+        check_name(Allowed::ASKED, &name, "name")?;
+        if let Some(Err(reason)) = query.spacing.map(check_spacing) {
+            return Err(Problem::field(Kind::InvalidQuery, "spacing", reason));
         }
         if query.max_albedo.is_some_and(|albedo| !(albedo > 0.0 && albedo <= LARGEST_ALBEDO)) {
             let reason = format!("has to be above 0 and at most {LARGEST_ALBEDO}");
@@ -139,9 +141,7 @@ impl Options {
             unit: query.unit.unwrap_or_default(),
             max_albedo: query.max_albedo,
             atlas,
-            layers: query
-                .layers
-                .map_or(Ok(Wanted::Shared), |text| Wanted::parse(&text, app.config.limits.name_chars))?,
+            layers: query.layers.map_or(Ok(Wanted::Shared), |text| Wanted::parse(&text))?,
             bake,
             target: (bake || has_target).then_some(target),
             priority: query.priority.unwrap_or_default(),
@@ -178,7 +178,7 @@ fn parse_environment(text: &str) -> ApiResult<[f32; 3]> {
         text.split(',').map(|number| number.trim().parse().ok().filter(|x: &f32| x.is_finite() && *x >= 0.0)).collect();
     match numbers.as_deref() {
         Some([r, g, b]) => {
-            check_strength(Some(&[*r, *g, *b]), None, "environment").map_err(in_query)?;
+            check_strength(Allowed::ASKED, Some(&[*r, *g, *b]), None, "environment").map_err(in_query)?;
             Ok([*r, *g, *b])
         }
         _ => Err(Problem::field(Kind::InvalidQuery, "environment", "has to be r,g,b, each finite and at least 0")),

@@ -9,9 +9,10 @@ use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use jiff::Timestamp;
+use rebake_core::allowed::Allowed;
 use tokio::sync::OwnedSemaphorePermit;
 
-use super::edit_parse::check_strength;
+use super::checks::check_strength;
 use super::extract::{ApiQuery, read_upload, require_content_type};
 use super::prepare::{Kept, Outline, build_world, layer_bytes};
 use super::problem::{ApiResult, Kind, Problem};
@@ -170,7 +171,7 @@ pub(super) struct Upload {
 pub(super) fn check_strengths(scene: &Scene) -> ApiResult<()> {
     for light in &scene.lights {
         let strength = (light.color * light.intensity).to_array();
-        let checked = check_strength(Some(&strength), None, &format!("light {:?}", light.name));
+        let checked = check_strength(Allowed::ASKED, Some(&strength), None, &format!("light {:?}", light.name));
         checked.map_err(|problem| problem.with_kind(Kind::UnsupportedFile))?;
     }
     Ok(())

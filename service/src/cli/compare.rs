@@ -3,12 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use glam::Vec3;
-use rebake::sheet::{Cell, Crop, Panel, Sheet};
-use rebake_core::metrics::{PIXELS_PER_DEGREE, flip, rmse};
-use rebake_core::render::{
-    Loaded, Palette, Picture, ToneMap, auto_exposure, nice_scale, read_picture, srgb_from_linear,
-};
+use rebake_core::metrics::rmse;
+use rebake_core::render::{Loaded, read_picture};
+use rebake_lab::compare::{ShownAs, SideBySide};
+use rebake_lab::sheet::Crop;
 use serde_json::json;
 
 use super::remote::Replacement;
@@ -75,7 +73,14 @@ pub(super) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
         anyhow::ensure!(args.output.is_none(), "-o: light maps have no picture; compare renders of them");
         return report(args, error, mean, None);
     }
-    let shown = Shown::new(args, &a.picture, &b.picture);
+    // A PNG is what a screen shows already.
+    let is_png = |path: &Path| path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("png"));
+    let shown_as = ShownAs {
+        is_display: is_png(&args.reference) || is_png(&args.test),
+        exposure: args.exposure,
+        scale: args.scale.map(|scale| scale as f32),
+    };
+    let shown = SideBySide::new(&a.picture, &b.picture, shown_as);
     report(args, error, mean, Some(shown.mean_flip()))?;
     match &args.output {
         Some(path) => {
@@ -106,91 +111,5 @@ fn size_of(loaded: &Loaded) -> String {
     match loaded.elements {
         Some(count) => format!("a light map of {count} elements"),
         None => format!("{} × {} pixels", loaded.picture.width, loaded.picture.height),
-    }
-}
-
-/// Two pictures as a screen shows them, and their differences.
-struct Shown {
-    width: usize,
-    height: usize,
-    /// A, B, difference, FLIP: sRGB in 0..=1.
-    panels: [Vec<Vec3>; 4],
-    flip: Vec<f32>,
-    scale: f32,
-}
-
-impl Shown {
-    fn new(args: &CompareArgs, a: &Picture, b: &Picture) -> Shown {
-        // A PNG is what a screen shows already.
-        let is_png = |path: &Path| path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("png"));
-        let is_shown = is_png(&args.reference) || is_png(&args.test);
-        let gain = args.exposure.unwrap_or_else(|| auto_exposure(&a.pixels)).exp2();
-        let show = |picture: &Picture| -> Vec<Vec3> {
-            let display = |p: &Vec3| if is_shown { ToneMap::Linear.map(*p) } else { ToneMap::AgX.map(*p * gain) };
-            picture.pixels.iter().map(|p| display(p).map(srgb_from_linear)).collect()
-        };
-        let (shown_a, shown_b) = (show(a), show(b));
-        let flip = flip(&shown_a, &shown_b, a.width, PIXELS_PER_DEGREE);
-        let change: Vec<f32> = a.pixels.iter().zip(&b.pixels).map(|(a, b)| (*b - *a).element_sum() / 3.0).collect();
-        let scale = args.scale.map_or_else(|| nice_scale(&change), |scale| scale as f32);
-        let colored = change.iter().map(|value| Palette::Signed.color(value / scale)).collect();
-        let heat = flip.iter().map(|value| Palette::Heat.color(*value)).collect();
-        Shown { width: a.width, height: a.height, panels: [shown_a, shown_b, colored, heat], flip, scale }
-    }
-
-    fn mean_flip(&self) -> f64 {
-        self.flip.iter().map(|e| f64::from(*e)).sum::<f64>() / self.flip.len().max(1) as f64
-    }
-
-    /// The panels side by side; below, row by row, the crops, each as wide as a panel.
-    fn sheet(&self, crops: &[Crop]) -> anyhow::Result<Vec<u8>> {
-        let panels = self.panels.each_ref().map(|colors| Panel::from_srgb(colors, self.width));
-        let flip = format!("FLIP, mean {:.4}", self.mean_flip());
-        let captions = ["A", "B", "B - A", &flip];
-        let scales = [None, None, Some((Palette::Signed, self.scale)), Some((Palette::Heat, 1.0))];
-        let mut first: Vec<Panel> = panels.to_vec();
-        let mut rows = Vec::new();
-        for crop in crops {
-            let inside = crop.x + crop.width <= self.width && crop.y + crop.height <= self.height;
-            anyhow::ensure!(inside, "--crop: {crop:?} is not within {} × {} pixels", self.width, self.height);
-            first[..2].iter_mut().for_each(|panel| panel.frame(*crop, FRAME));
-            let part = |panel: &Panel| Cell::new("", panel.magnified(*crop, self.width));
-            rows.push(panels.iter().map(part).collect());
-        }
-        let first = captions.into_iter().zip(first).map(|(caption, panel)| Cell::new(caption, panel));
-        rows.insert(0, first.zip(scales).map(|(cell, scale)| Cell { scale, ..cell }).collect());
-        let sheet = Sheet { title: String::new(), rows };
-        sheet.draw().png().context("cannot make the picture")
-    }
-}
-
-/// Edges of what is magnified.
-const FRAME: [u8; 3] = [230, 60, 50];
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn args(line: &[&str]) -> CompareArgs {
-        #[derive(clap::Parser)]
-        struct Line {
-            #[command(flatten)]
-            args: CompareArgs,
-        }
-        <Line as clap::Parser>::parse_from(std::iter::once(&"compare").chain(line)).args
-    }
-
-    #[test]
-    fn a_sheet_holds_panels_and_crops() {
-        let picture = |value: f32| Picture { width: 20, height: 10, pixels: vec![Vec3::splat(value); 200] };
-        let args = args(&["a.exr", "b.exr", "--crop", "2,3,5,4"]);
-        let shown = Shown::new(&args, &picture(0.2), &picture(0.4));
-        assert!((shown.scale - 0.2).abs() < 1e-6 && shown.mean_flip() > 0.1);
-        let sheet = read_picture(&shown.sheet(&args.crop).unwrap()).unwrap().picture;
-        // Four times 20 and gaps of 10; one row of 10 pixels and one of 4 magnified four times, the first under
-        // captions. Bars with numbers below the difference and FLIP.
-        assert_eq!((sheet.width, sheet.height), (4 * 30 + 10, 10 + (25 + 10 + 35 + 10) + (16 + 10)));
-        let outside = Crop { x: 18, y: 0, width: 5, height: 5 };
-        assert!(shown.sheet(&[outside]).is_err());
     }
 }

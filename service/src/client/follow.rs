@@ -27,7 +27,7 @@ impl Default for Retry {
 
 /// What one snapshot brought.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Update {
+pub struct Arrival {
     /// Version before.
     pub from: u64,
     /// Version now.
@@ -102,7 +102,7 @@ impl DeltaFollower {
 
     /// Waits for the next snapshot and applies it. Reconnects where the connection is lost. May be dropped at any
     /// time without losing anything.
-    pub async fn next(&mut self) -> Result<Update, ClientError> {
+    pub async fn next(&mut self) -> Result<Arrival, ClientError> {
         loop {
             let failure = match self.advance(true).await {
                 Ok(Some(update)) => {
@@ -152,7 +152,7 @@ impl DeltaFollower {
     }
 
     /// Reads on until a snapshot is complete and applies it; `None` at the end of the stream.
-    async fn advance(&mut self, follow: bool) -> Result<Option<Update>, ClientError> {
+    async fn advance(&mut self, follow: bool) -> Result<Option<Arrival>, ClientError> {
         let connection = match &mut self.connection {
             Some(connection) => connection,
             None => {
@@ -209,7 +209,7 @@ impl Connection {
 }
 
 /// Applies a snapshot; `None` where the map is at its version already.
-fn apply(snapshot: &Snapshot, map: &mut Vec<Vec3>, version: &mut u64) -> Result<Option<Update>, DeltaError> {
+fn apply(snapshot: &Snapshot, map: &mut Vec<Vec3>, version: &mut u64) -> Result<Option<Arrival>, DeltaError> {
     let replaced = snapshot.frames.first().is_some_and(|frame| frame.flags.replace_all);
     let new = snapshot.frames.last().map_or(0, |frame| frame.new);
     for frame in &snapshot.frames {
@@ -225,7 +225,7 @@ fn apply(snapshot: &Snapshot, map: &mut Vec<Vec3>, version: &mut u64) -> Result<
     for frame in &snapshot.frames {
         frame.apply(map)?;
     }
-    let update = Update {
+    let update = Arrival {
         from: *version,
         version: new,
         changed: snapshot.frames.iter().map(|frame| frame.values.len()).sum(),

@@ -10,7 +10,7 @@ mod tests;
 pub mod types;
 
 pub use error::ClientError;
-pub use follow::{DeltaFollower, Retry, Update};
+pub use follow::{Arrival, DeltaFollower, Retry};
 pub use parts::{Part, Parts};
 pub use sse::{Event, EventStream, SseParser};
 

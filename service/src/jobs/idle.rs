@@ -79,7 +79,7 @@ fn next_spell(app: &App, bounds: IdleRefine, stop: &Stop) -> Option<Spell> {
         if stop.must_end() {
             return None;
         }
-        let Some((published, map)) = scene.settled() else { continue };
+        let Some((published, map)) = scene.up_to_date() else { continue };
         if published.version == scene.refined.load(Ordering::Relaxed) {
             continue;
         }
@@ -92,7 +92,7 @@ fn next_spell(app: &App, bounds: IdleRefine, stop: &Stop) -> Option<Spell> {
 
 /// One spell; whether it got as far as it should.
 fn refine(app: &Arc<App>, scene: &Arc<SceneEntry>, spell: Spell, bounds: IdleRefine, stop: &Stop) -> bool {
-    let Some((published, map)) = scene.settled() else { return true };
+    let Some((published, map)) = scene.up_to_date() else { return true };
     let target = spell.target as f32;
     let budget = Budget { samples_per_element: bounds.samples, target_rmse: Some(target) };
     let world = &published.world;

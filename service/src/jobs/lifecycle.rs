@@ -5,20 +5,14 @@ use std::sync::Arc;
 use jiff::Timestamp;
 use rayon::ThreadPool;
 
-use super::budget::JobBudget;
-use super::queue::{Change, Full, Job, JobKind, JobNumber, JobProgress, JobState, Outcome, SceneNumber};
-use super::scheduler::{self, Decision};
-use super::stop::{Asked, Stop};
-use super::{JobSpec, State, merge, worker};
-use crate::api::types;
-use crate::engine::Progress;
+use super::State;
+use super::queue::{Change, Full, Job, JobNumber, JobState, Outcome, SceneNumber};
+use super::stop::Asked;
 use crate::metrics::{JobEnd, Metrics};
 use crate::state::App;
 use crate::store::StoreError;
-use crate::store::lighting::Sequence;
 use crate::store::records::JobRecord;
 use crate::store::scene::SceneEntry;
-use crate::store::versions::Published;
 
 /// A promised place in the queue, given back where nothing comes of it.
 pub(crate) struct Ticket {
@@ -197,66 +191,6 @@ impl App {
         change
     }
 
-    /// Publishes geometry that was accepted and that no open job will publish.
-    pub(crate) fn settle(&self, scene: &Arc<SceneEntry>, accepted: Sequence) {
-        let upto = {
-            let state = self.jobs.lock();
-            if state.queue.running_on(scene.number).is_some() {
-                return;
-            }
-            let open = state.queue.open_of(scene.number).into_iter().filter_map(|job| state.handles.get(&job));
-            open.map(|handle| handle.spec.sequence.saturating_sub(1)).min().unwrap_or(accepted)
-        };
-        if self.may_publish(scene)
-            && let Some(published) = scene.show(upto.min(accepted))
-        {
-            self.tell_edited(scene, None, &published);
-        }
-    }
-
-    /// A running job's progress.
-    pub(crate) fn report(&self, number: JobNumber, progress: JobProgress) {
-        let mut state = self.jobs.lock();
-        state.queue.report(number, progress);
-        state.tell(self, number);
-    }
-
-    /// A new version with the same elements.
-    pub(crate) fn tell_snapshot(
-        &self,
-        scene: &SceneEntry,
-        job: Option<JobNumber>,
-        published: &Published,
-        progress: Option<&Progress>,
-    ) {
-        let event = types::SnapshotEvent {
-            scene: scene.id.clone(),
-            job: job.map(|number| self.ids.job(number)),
-            version: published.version,
-            elements_version: published.elements_version,
-            samples_per_element: progress.map(|progress| progress.samples_per_element),
-            estimated_rmse: published.estimated_rmse.and_then(types::finite),
-        };
-        self.metrics.published(published);
-        let data = types::to_event_data(&event);
-        if let Some(log) = job.and_then(|number| self.jobs.events(number)) {
-            log.push("snapshot", data.clone());
-        }
-        scene.events.push("snapshot", data);
-    }
-
-    /// A new version with other elements, objects or lights.
-    pub(crate) fn tell_edited(&self, scene: &SceneEntry, job: Option<JobNumber>, published: &Published) {
-        let event = types::SceneEvent {
-            scene: scene.id.clone(),
-            what: types::SceneChange::Edited,
-            version: published.version,
-            elements_version: published.elements_version,
-        };
-        scene.events.push("scene", types::to_event_data(&event));
-        self.tell_snapshot(scene, job, published, None);
-    }
-
     /// Takes over how a job ended, once that and its light are kept.
     pub(super) fn finish_job(
         self: &Arc<App>,
@@ -309,92 +243,6 @@ impl App {
         scene.set_error(None);
         records.into_iter().map(|record| record.job.number).collect()
     }
-
-    pub(super) fn start_what_can(self: &Arc<App>, state: &mut State) {
-        while !state.closed
-            && let Decision::Start(number) = scheduler::tick(&state.queue, self.jobs.slots)
-        {
-            let Some(pool) = state.pools.pop() else { break };
-            let batch = state.batch(number);
-            let number = batch.last().copied().unwrap_or(number);
-            if !state.queue.start(number, Timestamp::now()) {
-                state.pools.push(pool);
-                break;
-            }
-            state.idle.iter().for_each(|refining| refining.ask(Asked::Interrupt));
-            state.tell(self, number);
-            let budgets: Vec<JobBudget> =
-                batch.iter().filter_map(|job| Some(state.handles.get(job)?.spec.budget)).collect();
-            for other in batch.into_iter().filter(|other| *other != number) {
-                state.queue.merge(other, number);
-                state.tell(self, other);
-            }
-            let Some(handle) = state.handles.get_mut(&number) else { break };
-            let Some(scene) = handle.scene.clone() else { break };
-            handle.stop = Arc::new(Stop::default());
-            let mut spec = handle.spec.clone();
-            spec.budget = budgets.into_iter().fold(spec.budget, JobBudget::both);
-            let kind = state.queue.get(number).map_or(JobKind::Edit, |job| job.kind);
-            let (stop, accepted) = (handle.stop.clone(), handle.accepted);
-            let run = worker::Run { job: number, kind, scene: scene.clone(), stop, accepted, spec };
-            state.supersede(scene.number);
-            worker::spawn(self.clone(), run, &pool);
-        }
-        for number in scheduler::make_room(&state.queue) {
-            state.handles.get(&number).into_iter().for_each(|handle| handle.stop.ask(Asked::MakeRoom));
-        }
-        self.refine_if_idle(state);
-        self.jobs.running.send_replace(state.running());
-    }
-}
-
-impl State {
-    /// Tells the job of a scene where an edit waits behind it, and whether that is the next step of the same drag.
-    fn supersede(&self, scene: SceneNumber) {
-        let Some(running) = self.queue.running_on(scene) else { return };
-        let edits = self.queue.iter().filter(|job| job.scene == scene && job.kind == JobKind::Edit && job.is_in_line());
-        let next = edits.min_by_key(|job| job.number).and_then(|job| self.handles.get(&job.number));
-        if let Some(next) = next
-            && let Some(handle) = self.handles.get(&running)
-        {
-            let is_next_step = is_next_step(&handle.spec, &next.spec);
-            handle.stop.ask(if is_next_step { Asked::NextStep } else { Asked::NewerEdit });
-        }
-    }
-
-    /// The job with those behind it on its scene that are better lit together with it: the last of them does the work.
-    fn batch(&self, first: JobNumber) -> Vec<JobNumber> {
-        let mut batch = vec![first];
-        let Some((job, handle)) = self.queue.get(first).zip(self.handles.get(&first)) else { return batch };
-        let Some(scene) = handle.scene.as_ref().filter(|_| job.kind == JobKind::Edit) else { return batch };
-        let unlit = scene.unlit_edits();
-        let upto = |after: Sequence, last: Sequence| {
-            let due = unlit.iter().filter(move |(sequence, _)| (after + 1..=last).contains(sequence));
-            due.flat_map(|(_, edits)| edits.iter().cloned()).collect::<Vec<_>>()
-        };
-        let mut last = handle.spec.sequence;
-        let mut edits = merge::simplify(upto(0, last));
-        // Where there is no light to go on from, one bake lights them all.
-        let bakes = scene.needs_bake();
-        let behind = self.queue.iter().filter(|other| other.scene == job.scene && other.number > first);
-        for other in behind.filter(|other| other.is_in_line() && other.kind == JobKind::Edit) {
-            let Some(handle) = self.handles.get(&other.number) else { break };
-            let next = upto(last, handle.spec.sequence);
-            let apart = edits.len() + merge::count(&next);
-            let together = merge::simplify(edits.iter().cloned().chain(next));
-            if together.len() >= apart && !bakes {
-                break;
-            }
-            (edits, last) = (together, handle.spec.sequence);
-            batch.push(other.number);
-        }
-        batch
-    }
-}
-
-/// Whether all that is dragged goes on being dragged.
-fn is_next_step(running: &JobSpec, next: &JobSpec) -> bool {
-    !running.dragged.is_empty() && running.dragged.iter().all(|light| next.dragged.contains(light))
 }
 
 fn count_end(metrics: &Metrics, job: &Job) {

@@ -42,10 +42,11 @@ pub(crate) fn count(edits: &[Edit]) -> usize {
     edits.iter().cloned().map(|edit| edit.split().len()).sum()
 }
 
-/// Lights that are dragged, where the edits do nothing else.
+/// Lights that are dragged, where the edits do nothing else: a request that drags one moves it and gives it a layer of
+/// its own.
 pub(crate) fn dragged_by(edits: &[Edit]) -> Vec<String> {
     let dragged = |edit: &Edit| match edit {
-        Edit::MoveLight { light, drag: true, .. } => Some(light.clone()),
+        Edit::MoveLight { light, own_layer: true, .. } => Some(light.clone()),
         _ => None,
     };
     edits.iter().map(dragged).collect::<Option<_>>().unwrap_or_default()
@@ -248,7 +249,7 @@ mod tests {
                 light: object,
                 position: Some(DVec3::splat(f64::from(number))),
                 direction: None,
-                drag: false,
+                own_layer: false,
             },
         }
     }

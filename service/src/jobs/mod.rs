@@ -11,8 +11,10 @@ mod phases;
 pub mod queue;
 pub mod scheduler;
 pub(crate) mod seeds;
+mod start;
 mod stop;
 mod target;
+mod telling;
 pub(crate) mod worker;
 
 #[cfg(test)]

@@ -88,7 +88,7 @@ fn after(app: &Arc<App>, ended: Ended) {
             (head.world.clone(), head.sequence)
         };
         if accepted > sequence {
-            app.settle(&scene, accepted);
+            app.show_accepted(&scene, accepted);
         }
         let is_busy = app.jobs.with_queue(|queue| queue.current(scene.number).is_some());
         if is_busy || !world.needs_rebuild() {
@@ -119,7 +119,7 @@ fn light(app: &Arc<App>, run: &Run) -> Outcome {
             let yields = if kind.is_for_target() { Yields::AtOnce } else { Yields::OnceStated };
             observer.begin(Piece { sequence: shown, slots: world.slots(), floor, yields, before: 0 });
             let result = app.config.engine.bake(&world, &spec.engine_budget(), spec.seed, &observer);
-            match settle_end(&observer, scene, (shown, Samples::Fresh), result) {
+            match take_over_end(&observer, scene, (shown, Samples::Fresh), result) {
                 Ok(_) => done(run),
                 Err(outcome) => outcome,
             }
@@ -164,7 +164,7 @@ fn refine(
     // Runs of one job must not repeat the samples that the map holds: each has a seed of its own.
     let seed = mixed(spec.seed ^ u64::from(before) << 32) ^ scene.published().version;
     let result = observer.app.config.engine.refine(&world, map, &budget, seed, observer);
-    match settle_end(observer, scene, (sequence, Samples::More), result) {
+    match take_over_end(observer, scene, (sequence, Samples::More), result) {
         Ok(_) => done(run),
         Err(outcome) => outcome,
     }
@@ -218,7 +218,7 @@ fn light_step(
         step.as_unlit().into_iter().for_each(|unlit| scene.fold_unlit(unlit));
         return Err(Outcome::Succeeded);
     }
-    let lit = settle_end(observer, scene, (step.sequence, |_| Samples::Same), result)?;
+    let lit = take_over_end(observer, scene, (step.sequence, |_| Samples::Same), result)?;
     scene.earlier.computed(&transition.before, map, edits, &lit, observer.was_cut());
     Ok(lit)
 }
@@ -332,7 +332,7 @@ fn merged(due: &[Unlit]) -> Option<Step> {
 
 /// Takes over the map that a piece of work ends with, if it ends with one that is right. A job out of time ends well
 /// with its last complete map; one that was stopped says how as the error.
-fn settle_end(
+fn take_over_end(
     observer: &JobObserver<'_>,
     scene: &SceneEntry,
     (sequence, samples): (Sequence, fn(u32) -> Samples),

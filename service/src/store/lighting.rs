@@ -221,15 +221,15 @@ impl Lighting {
     }
 
     /// The map, where it is right for all that was accepted and clients see all of that.
-    pub(crate) fn settled(&self, published: &Published) -> Option<Arc<LightMap>> {
-        let is_settled = self.unlit.is_empty() && self.lit_sequence == self.shown_sequence;
-        self.lit.clone().filter(|map| is_settled && map.len() == published.world.slots())
+    pub(crate) fn up_to_date(&self, published: &Published) -> Option<Arc<LightMap>> {
+        let is_up_to_date = self.unlit.is_empty() && self.lit_sequence == self.shown_sequence;
+        self.lit.clone().filter(|map| is_up_to_date && map.len() == published.world.slots())
     }
 
     /// The next version, with a more accurate map in place of `of`. `None` where anything came in between, and whatever
     /// did counts: a job that started from `of` goes on with it.
     pub(crate) fn refine(&mut self, published: &Published, of: &Arc<LightMap>, lit: Lit<'_>) -> Option<Published> {
-        self.settled(published).filter(|map| Arc::ptr_eq(map, of))?;
+        self.up_to_date(published).filter(|map| Arc::ptr_eq(map, of))?;
         self.lit = Some(lit.map.clone());
         self.right_for = Some(self.shown_sequence);
         let weights = lit.map.layer_weights(&published.world.scene);
@@ -264,7 +264,7 @@ impl Lighting {
     /// Whether the light is less than a target asks for. Where edits wait for light, that comes first.
     pub(crate) fn is_behind(&self, published: &Published, target: &JobBudget) -> bool {
         let Effort { samples, is_done } = self.effort;
-        match (self.settled(published), target.target_rmse) {
+        match (self.up_to_date(published), target.target_rmse) {
             (None, _) => self.lit.is_none(),
             (Some(_), _) if samples >= target.samples_per_element => false,
             (Some(map), Some(rmse)) => map.estimated_rmse(published.world.areas()) > rmse,

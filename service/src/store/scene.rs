@@ -315,10 +315,10 @@ impl SceneEntry {
     }
 
     /// What clients see with the map behind it, where that is right for all that was accepted.
-    pub(crate) fn settled(&self) -> Option<(Arc<Published>, Arc<LightMap>)> {
+    pub(crate) fn up_to_date(&self) -> Option<(Arc<Published>, Arc<LightMap>)> {
         let lighting = self.lighting();
         let published = self.published();
-        let map = lighting.settled(&published)?;
+        let map = lighting.up_to_date(&published)?;
         Some((published, map))
     }
 

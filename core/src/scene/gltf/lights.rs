@@ -10,11 +10,9 @@ use json::validation::Checked;
 use super::nodes::PlacedNode;
 use super::warnings::Warnings;
 use super::{LoadError, LoadLimits, LoadedObject, malformed, too_large};
+use crate::allowed::Allowed;
 use crate::scene::names::UniqueNames;
 use crate::scene::{ENVIRONMENT, Light, LightKind};
-
-/// Largest strength: as edits have it.
-const MAX_STRENGTH: f32 = 1e12;
 
 /// Lights, and of those under an object's node: their names with that object's. Of punctual ones the nodes, by index.
 pub(super) struct Lights {
@@ -105,9 +103,7 @@ fn read_punctual(
         warnings.add("lights of a negative colour or intensity take no light away: they count as 0", place);
         (color, intensity) = (color.max(Vec3::ZERO), intensity.max(0.0));
     }
-    if (color * intensity).max_element() > MAX_STRENGTH {
-        return Err(malformed(place, &format!("its colour times its intensity is above {MAX_STRENGTH:e}")));
-    }
+    Allowed::KEPT.check_product(color, intensity).map_err(|reason| malformed(place, &format!("its {reason}")))?;
     let range = light.range.filter(|range| range.is_finite() && *range > 0.0);
     if range != light.range {
         warnings.add("ranges of lights that are not above 0 are taken as none", place);

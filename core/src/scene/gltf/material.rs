@@ -10,6 +10,7 @@ use super::container::File;
 use super::textures::Textures;
 use super::warnings::Warnings;
 use super::{LoadError, LoadLimits, malformed};
+use crate::allowed::Allowed;
 use crate::scene::{AlphaMode, AlphaUse, Look, Material, TextureUse};
 
 /// A material, what of it varies, and how its emission splits into the two numbers of a light.
@@ -46,8 +47,6 @@ pub(super) struct Materials<'f> {
 const MID_GREY: f32 = 0.5;
 /// How far factors may lie outside 0..=1 by rounding.
 const ROUNDING: f32 = 1e-3;
-/// Largest strength of a light: as edits have it.
-const MAX_STRENGTH: f32 = 1e12;
 
 impl LoadedMaterial {
     /// Whether a texture of it reads a set of texture coordinates.
@@ -149,8 +148,9 @@ impl<'f> Materials<'f> {
                 None => (color, factor) = (color * MID_GREY, factor * MID_GREY),
             }
         }
-        if !factor.is_finite() || factor.max_element() > MAX_STRENGTH {
-            return Err(malformed(&place, &format!("its emission is not finite, or above {MAX_STRENGTH:e}")));
+        if Allowed::KEPT.check_product(factor, 1.0).is_err() {
+            let most = Allowed::KEPT.brightest;
+            return Err(malformed(&place, &format!("its emission is not finite, or above {most:e}")));
         }
         if color == Vec3::ZERO {
             intensity = 1.0;

@@ -93,7 +93,7 @@ impl<'f> Meshes<'f> {
         let (mut draft, mut clear) = (Draft::default(), Draft::default());
         for (number, primitive) in json.primitives.iter().enumerate() {
             let place = format!("{name}, primitive {number}");
-            let place = Place { mesh: index, number, name: &place };
+            let place = At { mesh: index, number, name: &place };
             self.add_primitive([&mut draft, &mut clear], primitive, &place, pose, materials, warnings)?;
         }
         let clear = (!clear.mesh.triangles.is_empty()).then(|| Box::new(clear.finish()));
@@ -108,7 +108,7 @@ impl<'f> Meshes<'f> {
         &mut self,
         [draft, clear]: [&mut Draft; 2],
         primitive: &'f Primitive,
-        place: &Place<'_>,
+        place: &At<'_>,
         pose: &Pose,
         materials: &mut Materials<'f>,
         warnings: &mut Warnings,
@@ -137,7 +137,7 @@ impl<'f> Meshes<'f> {
         draft: &mut Draft,
         (primitive, mode): (&'f Primitive, Mode),
         material: LoadedMaterial,
-        place: &Place<'_>,
+        place: &At<'_>,
         pose: &Pose,
         warnings: &mut Warnings,
     ) -> Result<(), LoadError> {
@@ -233,7 +233,7 @@ impl<'f> Meshes<'f> {
 }
 
 /// Where a primitive stands in the document.
-struct Place<'p> {
+struct At<'p> {
     mesh: usize,
     number: usize,
     name: &'p str,

@@ -9,6 +9,7 @@ use std::f64::consts::PI;
 use glam::{DVec3, Vec3};
 
 pub use self::load::{LoadedSky, is_sky, load_sky};
+use crate::allowed::Allowed;
 use crate::sampling::{Equirect, TexelChoice};
 
 /// Larger pictures are averaged down to at most this many texels across and half as many down: a sixth of a degree, a
@@ -23,7 +24,7 @@ const EVEN: f32 = 4.0;
 const WORTH_AIMING: f64 = 0.05;
 
 /// Radiance beyond it is a mistake; below it nothing overflows.
-const BRIGHTEST: f32 = 1e9;
+const BRIGHTEST: f32 = Allowed::ASKED.brightest;
 
 /// Radiance of the sky by direction: an equirectangular picture with +y at its top, whose middle lies towards +x and its
 /// right half towards +z, as three.js has it and Blender once it is exported to glTF.

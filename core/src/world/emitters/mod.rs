@@ -65,11 +65,11 @@ pub(crate) enum Shape {
 
 /// One light ready to be sampled.
 #[derive(Clone, Debug)]
-pub(crate) struct Emitter {
+pub struct Emitter {
     /// Name of the light.
     pub name: String,
     /// Geometry.
-    pub shape: Shape,
+    pub(crate) shape: Shape,
     /// Radiance, candela or lux; a factor where there is a picture.
     pub strength: Vec3,
     /// Layer that its light is carried in; 0 where light is not told apart.
@@ -82,7 +82,7 @@ pub(crate) struct Emitter {
 
 /// A sample of incoming light at a point, before visibility.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct LightSample {
+pub struct LightSample {
     /// Unit direction towards the light.
     pub direction: Vec3,
     /// Metres; infinite for light from afar.
@@ -97,7 +97,7 @@ pub(crate) struct LightSample {
 impl LightSample {
     /// How far before the light a shadow ray from `point` ends, metres.
     #[inline]
-    pub(crate) fn end(&self, point: Vec3) -> f32 {
+    pub fn end(&self, point: Vec3) -> f32 {
         if self.distance.is_finite() { self.distance * SHADOW_END + ray_offset(point, self.distance) } else { 0.0 }
     }
 }
@@ -226,7 +226,7 @@ impl Emitter {
     }
 
     /// Whether rays that are not aimed at it can meet it.
-    pub(crate) fn is_surface(&self) -> bool {
+    pub fn is_surface(&self) -> bool {
         matches!(self.shape, Shape::Surface { .. })
     }
 
@@ -255,7 +255,7 @@ impl Emitter {
     /// Samples the light's contribution to irradiance / π at `point` with unit normal `n`, at unit strength. None
     /// where the sample brings no light.
     #[inline]
-    pub(crate) fn sample(&self, point: Vec3, n: Vec3, u: [f32; 2]) -> Option<LightSample> {
+    pub fn sample(&self, point: Vec3, n: Vec3, u: [f32; 2]) -> Option<LightSample> {
         match &self.shape {
             Shape::Surface { triangles, choice, facets, double_sided, see_through, .. } => {
                 let (sample, index) = surface::sample(triangles, choice, *double_sided, point, n, u)?;
@@ -292,7 +292,7 @@ impl Emitter {
 
 impl Emitter {
     /// Whether another emitter shines from the same place. Triangles are compared by the caller.
-    pub(crate) fn same_shape(&self, other: &Emitter) -> bool {
+    pub fn same_shape(&self, other: &Emitter) -> bool {
         match (&self.shape, &other.shape) {
             (Shape::Surface { double_sided: a, facets: f, .. }, Shape::Surface { double_sided: b, facets: g, .. }) => {
                 a == b && self.object == other.object && f == g

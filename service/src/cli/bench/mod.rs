@@ -1,5 +1,7 @@
 //! `rebake bench`: speed against error of all methods, side by side.
 
+mod service;
+mod session;
 mod study;
 mod table;
 
@@ -8,18 +10,20 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use indicatif::ProgressBar;
-use rebake::bench::{
-    self, EditFile, Equation, Goal, Method, Mode, Options, PictureOptions, Report, StudyReport, Subject, Watcher,
-};
-use rebake::sheet::Crop;
+use rebake::Mode;
 use rebake_core::render::RenderOptions;
 use rebake_core::scene::{LoadLimits, Scene, load_path};
+use rebake_lab::bench::{
+    self, EditFile, Equation, Goal, Method, Options, PictureOptions, Report, StudyReport, Subject, Watcher,
+};
+use rebake_lab::sheet::Crop;
 
 use super::demo;
 use super::exit::Interrupted;
 use super::remote::Replacement;
 use super::ui;
 use super::values::positive;
+use service::Loopback;
 
 const AFTER_HELP: &str = "\
 EDITS.json: {\"scene\": \"room.glb\", \"cases\": [{\"name\": \"+ sofa\", \"edit\": \"insert\", \"objects\": [\"Sofa_*\"]}, …]}. \
@@ -215,7 +219,7 @@ impl BenchArgs {
     fn options(&self) -> Options {
         Options {
             spacing: self.spacing.map(|s| s as f32),
-            mode: self.mode,
+            mode: self.mode.stated(),
             methods: self.methods(),
             goals: match self.samples[..] {
                 [] => self.budget_seconds.iter().map(|s| Goal::Seconds(*s)).collect(),
@@ -285,8 +289,8 @@ fn bench_file(args: &BenchArgs) -> anyhow::Result<()> {
     let mut screen = Screen { output: args.output.clone(), spinner: ui::spinner("bench") };
     let subject = Subject { name: &name, scene: &scene, file: &file, folder };
     let done = match study::study(args) {
-        None => bench::run(&subject, &options, &mut screen).map(drop),
-        Some(study) => bench::run_study(&study, &subject, &options, &mut screen).map(drop),
+        None => bench::run(&subject, &options, &Loopback, &mut screen).map(drop),
+        Some(study) => bench::run_study(&study, &subject, &options, &Loopback, &mut screen).map(drop),
     };
     screen.spinner.finish_and_clear();
     let source = args.edits.as_ref().map_or_else(|| name.to_string(), |edits| edits.display().to_string());

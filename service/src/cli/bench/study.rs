@@ -1,6 +1,6 @@
 //! `rebake bench --measure focus` and `--measure drag`: what a client of the service has, and when.
 
-use rebake::bench::{Study, StudyCase, StudyReport};
+use rebake_lab::bench::{Study, StudyCase, StudyReport};
 use serde_json::json;
 
 use super::super::ui;

@@ -1,6 +1,6 @@
 //! Reports on the terminal.
 
-use rebake::bench::{CaseReport, Setup};
+use rebake_lab::bench::{CaseReport, Setup};
 
 use super::super::ui;
 

@@ -1,6 +1,5 @@
 //! `rebake demo`: the service on a built-in room, used as any client uses it, and measured.
 
-mod measure;
 mod pictures;
 mod room;
 
@@ -17,6 +16,7 @@ use rebake::client::{Client, DeltaFollower, EditOptions};
 use rebake_core::export::write_scene_glb;
 use rebake_core::scene::{LoadLimits, Scene, load};
 use rebake_core::{Edit, Relight, World, WorldOptions};
+use rebake_lab::truth::{Comparison, compare};
 use serde_json::{Value, json};
 
 use super::exit::Interrupted;
@@ -24,7 +24,6 @@ use super::remote::{ProgressFeed, wait_for_job};
 use super::serve;
 use super::ui::{self, Table};
 use super::values::positive;
-use measure::Comparison;
 use pictures::Pictures;
 
 const AFTER_HELP: &str = "\
@@ -246,7 +245,7 @@ impl Demo {
         let spinner = ui::spinner("reference");
         spinner.set_message(format!("path tracing, to compare with {name}"));
         let seed = follower.version();
-        let compared = self.compute(move || measure::compare(&world, &map, seed)).await;
+        let compared = self.compute(move || compare(&world, &map, seed)).await;
         spinner.finish_and_clear();
         let comparison = compared??;
         let progress = &step.job.progress;
@@ -259,7 +258,7 @@ impl Demo {
             ui::seconds(step.first_light),
             ui::seconds(step.done),
             progress.estimated_rmse.map_or_else(|| "–".to_owned(), ui::rmse),
-            comparison.rmse_text(),
+            rmse_text(&comparison),
             format!("{at_least}{}", ui::seconds(path_seconds)),
             format!("{at_least}{}×", ui::short(path_seconds / step.done)),
         ]))?;
@@ -341,5 +340,13 @@ impl Demo {
     async fn compute<T: Send + 'static>(&self, task: impl FnOnce() -> T + Send + 'static) -> anyhow::Result<T> {
         let pool = Arc::clone(&self.pool);
         tokio::task::spawn_blocking(move || pool.install(task)).await.context("the computation broke down")
+    }
+}
+
+/// An RMSE with its standard error; where it cannot be told from zero, what it lies below.
+fn rmse_text(comparison: &Comparison) -> String {
+    match comparison.rmse() {
+        Some((rmse, error)) => format!("{} ± {}", ui::rmse(rmse), ui::rmse(error)),
+        None => format!("< {}", ui::rmse(comparison.bound())),
     }
 }

@@ -19,7 +19,7 @@ pub(super) enum Operation {
         #[arg(long)]
         name: Option<String>,
         #[command(flatten)]
-        place: Place,
+        place: Pose,
     },
     /// Take objects out, with the lights on them
     Remove {
@@ -32,7 +32,7 @@ pub(super) enum Operation {
         /// Name of the object
         object: String,
         #[command(flatten)]
-        place: Place,
+        place: Pose,
     },
     /// Repaint an object, a material wherever it is, or one material of an object
     #[command(group(clap::ArgGroup::new("painted").required(true).multiple(true).args(["object", "material"])))]
@@ -161,7 +161,7 @@ pub(super) struct NewLight {
 /// Where something stands: a matrix, or a position with a turn and a size.
 #[derive(Debug, clap::Args)]
 #[group(required = true, multiple = true)]
-pub(super) struct Place {
+pub(super) struct Pose {
     /// 16 numbers, column-major, object to world
     #[arg(long, value_name = "M,…", allow_hyphen_values = true, conflicts_with_all = ["at", "rotate_y", "scale"])]
     transform: Option<Matrix>,
@@ -176,7 +176,7 @@ pub(super) struct Place {
     scale: Option<f64>,
 }
 
-impl Place {
+impl Pose {
     fn matrix(&self) -> [f64; 16] {
         if let Some(Matrix(matrix)) = self.transform {
             return matrix;

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use rebake::client::{Client, ClientError, EventStream, Retry, Update};
+use rebake::client::{Arrival, Client, ClientError, EventStream, Retry};
 use serde_json::Value;
 
 use super::super::exit::Interrupted;
@@ -67,7 +67,7 @@ pub(in super::super) async fn watch(args: WatchArgs) -> anyhow::Result<()> {
     result
 }
 
-fn cells(elapsed: Duration, update: &Update, rmse: Option<f64>) -> [String; 5] {
+fn cells(elapsed: Duration, update: &Arrival, rmse: Option<f64>) -> [String; 5] {
     [
         format!("{:.2} s", elapsed.as_secs_f64()),
         update.version.to_string(),

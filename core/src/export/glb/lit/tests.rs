@@ -306,7 +306,7 @@ fn lights_that_move_and_change_are_written_so() {
         light: "Spot".into(),
         position: Some(DVec3::new(5.0, 6.0, 7.0)),
         direction: Some(Vec3::X),
-        drag: false,
+        own_layer: false,
     };
     let relit =
         crate::edit::Relight { light: "Lamp".into(), color: Some(Vec3::new(0.5, 1.0, 0.5)), intensity: Some(3.0) };

@@ -1,0 +1,141 @@
+//! The end of a request: trees of what came, what it hides and closes, and the way from the world before to that after.
+
+use std::collections::BTreeSet;
+use std::ops::Range;
+use std::sync::Arc;
+
+use glam::Vec3;
+
+use super::apply::Draft;
+use super::build;
+use super::check::error;
+use super::openings::Openings;
+use super::{Placed, Transition, Trees, Validity, World, probe};
+use crate::atlas::Atlas;
+use crate::bvh::{BuildQuality, Bvh};
+use crate::edit::{EditError, EditErrorKind};
+
+impl Draft {
+    /// The transition from the world before, which is `before`.
+    pub(super) fn finish(mut self, before: &World) -> Result<Transition, EditError> {
+        let scene = self.scene_mut();
+        let names: BTreeSet<&str> = scene.lights.iter().map(|light| light.name.as_str()).collect();
+        scene.groups.retain(|light, _| names.contains(light.as_str()));
+        // An object that came and went within the request leaves a trace in `touched` only, which is harmless.
+        let changed = !self.gone.is_empty() || !self.come.is_empty();
+        let common = self.world.trees.clone();
+        self.world.emitters = Arc::new(self.world.resolve_emitters());
+        if changed {
+            self.build_small_trees();
+            self.finish_new_objects()?;
+        } else {
+            // Slots that an object had while it was there.
+            self.world.space.take_geometry(&before.space);
+        }
+        let Draft { mut world, gone, come, touched, .. } = self;
+        let mut ranges = Vec::new();
+        if changed {
+            let placed = world.placed.iter().filter(|p| come.contains(&p.key));
+            ranges = placed.map(|p| p.placement.elements.clone()).collect();
+            let grown: Vec<(Vec3, Vec3)> = touched
+                .iter()
+                .map(|(l, h)| (*l - Vec3::splat(world.spacing()), *h + Vec3::splat(world.spacing())))
+                .collect();
+            world.validity = Arc::new(Validity::updated(&before.validity, &world, &ranges, &grown));
+            world.look_around(Some(&grown), |placed| come.contains(&placed.key));
+            world.find_behind(Some(&grown), |placed| come.contains(&placed.key));
+            world.atlas = next_atlas(&world)?;
+        }
+        let come_trees = world.placed.iter().filter(|p| come.contains(&p.key));
+        let come_tree = merged_tree(come_trees.map(|p| &**p), &world.trees.openings);
+        let gone_tree = merged_tree(gone.values().map(|p| &**p), &before.trees.openings);
+        let new_rows = new_rows(before, &world, &ranges);
+        let came = |slot: &u32| ranges.iter().any(|r| r.contains(slot));
+        let filled_rows = new_rows.iter().copied().filter(|slot| !came(slot)).collect();
+        Ok(Transition {
+            before: before.clone(),
+            common,
+            gone: gone_tree,
+            come: come_tree,
+            new_rows,
+            filled_rows,
+            after: world,
+        })
+    }
+
+    /// Trees of what came.
+    fn build_small_trees(&mut self) {
+        self.world.trees.generation += 1;
+        self.note_openings();
+        for placed in self.world.placed.iter().filter(|p| self.come.contains(&p.key)) {
+            self.world.trees.small.push((placed.key, build::small_tree(placed)));
+        }
+    }
+
+    /// Backs and solidity of what came, now that it can be asked with rays.
+    fn finish_new_objects(&mut self) -> Result<(), EditError> {
+        let indices: Vec<usize> =
+            (0..self.world.placed.len()).filter(|&i| self.come.contains(&self.world.placed[i].key)).collect();
+        for index in indices {
+            let placed = Arc::clone(&self.world.placed[index]);
+            if !placed.with_back && probe::back_seen(&self.world, index) {
+                self.give_back(index, &placed);
+            }
+            let placed = Arc::clone(&self.world.placed[index]);
+            let solid = self.world.is_solid(&placed);
+            self.world.space.parts_of_mut(&placed.placement).iter_mut().for_each(|p| p.solid = solid);
+        }
+        let limit = self.world.options.max_elements;
+        if self.world.element_count() > limit {
+            let reason = format!("the scene would have more than {limit} elements");
+            return Err(error("edits", reason, EditErrorKind::TooLarge));
+        }
+        Ok(())
+    }
+
+    /// What lets light through now.
+    fn note_openings(&mut self) {
+        self.world.trees.openings = Openings::of(self.world.placed.iter().map(|placed| &**placed));
+    }
+
+    /// Places an object again, with elements on its back.
+    fn give_back(&mut self, index: usize, old: &Placed) {
+        let ready = build::Ready::again(&self.world, old);
+        self.world.space.clear(&old.placement);
+        let placed = ready.place(&mut self.world.space, &self.world.scene.objects[index], old.key, true);
+        // The triangles may have found another hole than before.
+        let tree = build::small_tree(&placed);
+        self.world.trees.small.retain(|(key, _)| *key != placed.key);
+        self.world.trees.small.push((placed.key, tree));
+        self.world.placed[index] = Arc::new(placed);
+        self.note_openings();
+    }
+}
+
+/// One tree over some objects of a world that has these openings.
+fn merged_tree<'a>(objects: impl Iterator<Item = &'a Placed>, openings: &Option<Arc<Openings>>) -> Option<Trees> {
+    let (corners, ids) = build::corners_of(objects);
+    (!ids.is_empty()).then(|| Trees::of(Bvh::build(&corners, &ids, BuildQuality::Fast), openings.clone(), 0))
+}
+
+/// Rows that get their first value: of objects that came, and of elements that were invalid. Ascending.
+fn new_rows(before: &World, after: &World, ranges: &[Range<u32>]) -> Vec<u32> {
+    let is_computed = |slot: u32| after.areas()[slot as usize] > 0.0 && after.validity.is_valid(slot as usize);
+    let is_of_new = |slot: u32| ranges.iter().any(|range| range.contains(&slot));
+    let came = ranges.iter().cloned().flatten();
+    let came_out = before.validity.invalid_of(&(0..u32::MAX)).iter().copied().filter(|&slot| {
+        let owners =
+            [&before.space.slots().owners, &after.space.slots().owners].map(|owners| owners.get(slot as usize));
+        owners[0] == owners[1] && !is_of_new(slot)
+    });
+    let mut rows: Vec<u32> = came.chain(came_out).filter(|&slot| is_computed(slot)).collect();
+    rows.sort_unstable();
+    rows
+}
+
+/// The atlas of a world whose own is that before an edit.
+fn next_atlas(world: &World) -> Result<Option<Arc<Atlas>>, EditError> {
+    let Some(atlas) = &world.atlas else { return Ok(None) };
+    let next = atlas.next(world.atlas_items());
+    next.map(|next| Some(Arc::new(next))).map_err(|e| error("edits", e.to_string(), EditErrorKind::TooLarge))
+}

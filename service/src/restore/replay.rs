@@ -1,0 +1,103 @@
+//! Edits of a scene applied again in their order, which gives the same slots, and the saved light held against them.
+
+use std::sync::Arc;
+
+use rebake_core::allowed::Allowed;
+
+use crate::api::edit_parse;
+use crate::engine::{self, Edit, World};
+use crate::state::App;
+use crate::store::StoreError;
+use crate::store::disk::SavedEdit;
+use crate::store::history::{self, History, Turn};
+use crate::store::lighting::{Sequence, Unlit};
+use crate::store::records::LightRecord;
+
+/// A scene after all of its edits.
+pub(super) struct Replayed {
+    pub(super) world: World,
+    pub(super) sequence: Sequence,
+    /// The world that the saved light was published with.
+    shown: Option<World>,
+    /// Slots of the world that the saved light to start from is right for.
+    lit_slots: Option<usize>,
+    /// Edits that the saved light does not know.
+    pub(super) unlit: Vec<Unlit>,
+    pub(super) history: History,
+}
+
+/// Applies all edits again. Only what `light` does not know is kept: every world has arrays of its own.
+pub(super) fn replay(
+    app: &App,
+    uploaded: World,
+    edits: &[SavedEdit],
+    light: Option<&LightRecord>,
+) -> Result<Replayed, StoreError> {
+    let shown = light.map(|light| light.about.shown);
+    let lit = light.and_then(|light| light.lit.as_ref()).map(|(sequence, _)| *sequence);
+    let known = shown.map_or(Sequence::MAX, |shown| lit.map_or(shown, |lit| lit.min(shown)));
+    let mut replayed = Replayed {
+        world: uploaded,
+        sequence: 0,
+        shown: None,
+        lit_slots: None,
+        unlit: Vec::new(),
+        history: History::new(usize::MAX),
+    };
+    replayed.note(shown, lit);
+    for saved in edits {
+        let sequence = &saved.sequence;
+        let failed = |why: String| StoreError::damaged("an edit cannot be applied again", format!("{sequence}: {why}"));
+        if *sequence != replayed.sequence + 1 {
+            return Err(failed("an earlier one is missing".to_owned()));
+        }
+        let (edits, turn) = read_edits(app, &saved.body, &replayed.history).map_err(failed)?;
+        let transition = replayed.world.apply_again(&edits).map_err(|error| failed(error.to_string()))?;
+        let (body, job, accepted_at) = (saved.body.clone().into(), saved.job, saved.accepted_at);
+        let accepted = history::Accepted { body, job, accepted_at, turn: None, is_undone: false };
+        replayed.history.accept(accepted, turn, (&replayed.world.scene, &transition.after.scene));
+        replayed.world = transition.after.clone();
+        replayed.sequence = *sequence;
+        replayed.note(shown, lit);
+        if *sequence > known {
+            let transition = Arc::new(transition);
+            replayed.unlit.push(Unlit { sequence: *sequence, transition, edits: edits.into() });
+        }
+    }
+    replayed.world = engine::limited(replayed.world, &app.config.limits);
+    Ok(replayed)
+}
+
+impl Replayed {
+    fn note(&mut self, shown: Option<Sequence>, lit: Option<Sequence>) {
+        if shown == Some(self.sequence) {
+            self.shown = Some(self.world.clone());
+        }
+        if lit == Some(self.sequence) {
+            self.lit_slots = Some(self.world.slots());
+        }
+    }
+}
+
+fn read_edits(app: &App, body: &[u8], history: &History) -> Result<(Vec<Edit>, Option<Turn>), String> {
+    let parsed = edit_parse::parse(body, usize::MAX).map_err(|problem| problem.to_string())?;
+    let edits = edit_parse::to_edits(&parsed, &app.assets, history, Allowed::KEPT);
+    Ok((edits.map_err(|problem| problem.to_string())?, parsed.turn()))
+}
+
+/// The light with the world it belongs to; an error where their slots differ.
+pub(super) fn fits(replayed: &Replayed, light: LightRecord) -> Result<(World, LightRecord), StoreError> {
+    let differs = || StoreError::damaged("it does not fit the scene", "the slots differ");
+    let shown = replayed.shown.as_ref().ok_or_else(differs)?;
+    let about = &light.about;
+    if light.map.len() != shown.slots() || about.layout != engine::layout_hash(shown) {
+        return Err(differs());
+    }
+    if about.weights.len() != light.map.layers.len() {
+        return Err(differs());
+    }
+    if light.lit.as_ref().is_some_and(|(_, lit)| replayed.lit_slots != Some(lit.len())) {
+        return Err(differs());
+    }
+    Ok((shown.clone(), light))
+}
