@@ -8,9 +8,12 @@ export interface Spot {
   normal: Vector3;
 }
 
-/** By how much an object has to rise (below 0: to fall) to stand on what is under its middle and corners; null where nothing is. */
-export function rise(own: Object3D, others: Object3D[]): number | null {
-  const box = new Box3().setFromObject(own);
+/** Whether one box may have something below the middle of another. */
+export const isUnder = ({ min, max }: Box3, other: Box3) =>
+  min.x < other.max.x && max.x > other.min.x && min.z < other.max.z && max.z > other.min.z && min.y < (other.min.y + other.max.y) / 2;
+
+/** By how much a box has to rise (below 0: to fall) to stand on what is under its middle and corners; null where nothing is. */
+export function rise(box: Box3, others: Object3D[]): number | null {
   const ray = new Raycaster();
   let best: number | null = null;
   for (const [u, v] of [[0.5, 0.5], [0.05, 0.05], [0.95, 0.05], [0.05, 0.95], [0.95, 0.95]] as const) {
