@@ -31,10 +31,7 @@ const plot = new Plot($('plot'));
 const selection = new Selection();
 const feed = new Feed({
   job: heard,
-  jobs() {
-    panelsOfWork();
-    settle();
-  },
+  jobs: () => (panelsOfWork(), settle()),
   scene: refresh,
   snapshot,
   stated(error, elementsVersion) {
@@ -89,8 +86,8 @@ let seen = 0;
 let opened = 0;
 const library = new Library();
 const outline = new Outline(choose);
-const views = new Views(() => scene, stage, map, attempt);
-const relighting = new Relighting(map);
+const views = new Views(() => scene, stage, map, attempt, () => feed.filter);
+const relighting = new Relighting(map, () => feed.filter);
 const grid = () => Number($<HTMLSelectElement>('grid').value);
 const commands = new Commands({ scene: () => scene, selection, choose, stops: () => views.exposure, grid }, editor, stage, map);
 
@@ -340,6 +337,7 @@ function gizmo(mode = $<HTMLSelectElement>('gizmo').value): void {
 function filter(is = feed.filter === 'none'): void {
   $<HTMLInputElement>('filter').checked = is;
   feed.setFilter(is ? 'statistical' : 'none');
+  prepare();
 }
 
 watchDialogs();
