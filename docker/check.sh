@@ -81,7 +81,7 @@ from() { # image, directory
 
 # Variables of this machine that say how to reach the network.
 network() {
-  env | grep -iE '^(https?_proxy|no_proxy|ssl_cert_file|cargo_(http|net|source|registries|registry)_[a-z0-9_]+)=' || true
+  env | grep -iE '^(https?_proxy|no_proxy|ssl_cert_file|node_extra_ca_certs|npm_config_[a-z_]+|cargo_(http|net|source|registries|registry)_[a-z0-9_]+)=' || true
 }
 
 inside() { # command line for sh

@@ -5,7 +5,7 @@ import type { Light, Point, Rgb, Scene, SceneObject } from 'rebake';
 import { split } from './colors';
 import { $, button, make } from './dom';
 import { color, isHeld, isTyping, number, short, slider, triple } from './fields';
-import type { Picked } from './stage';
+import type { Picked } from './selection';
 
 export interface Actions {
   remove(): void;
@@ -18,33 +18,64 @@ export interface Actions {
   aim(direction: Point): void;
   paint(albedo: Rgb, done: boolean): void;
   relight(color: Rgb, intensity: number, done: boolean): void;
+  /** Makes all lights that are selected so many times as strong. */
+  dim(factor: number): void;
 }
 
+const NOTHING = 'Nothing. Click an object or a light; with Shift or Ctrl, several.';
+
 /** Shows what is selected. What is the same stays; what a person is changing is not taken out of their hands. */
-export function details(scene: Scene | null, picked: Picked | null, actions: Actions): void {
+export function details(scene: Scene | null, selected: readonly Picked[], actions: Actions): void {
   const parent = $('details');
   const focused = parent.contains(document.activeElement) ? nameOf(document.activeElement) : null;
-  const object = picked?.kind === 'object' ? scene?.objects.find((o) => o.name === picked.name) : undefined;
-  const light = picked && scene?.lights.find((l) => (picked.kind === 'light' ? l.name : l.object) === picked.name);
-  const [of, shown] = [JSON.stringify(picked), JSON.stringify([object, light])];
+  const are = (kind: Picked['kind']) => new Set(selected.filter((one) => one.kind === kind).map(({ name }) => name));
+  const [objectNames, lightNames] = [are('object'), are('light')];
+  const objects = scene?.objects.filter(({ name }) => objectNames.has(name)) ?? [];
+  const lights = scene?.lights.filter(({ name, object }) => lightNames.has(name) || (object && objectNames.has(object))) ?? [];
+  const [of, shown] = [JSON.stringify(selected), JSON.stringify([objects, lights])];
   if (parent.dataset['of'] === of && (isHeld() || isTyping() || parent.dataset['shown'] === shown)) return;
   [parent.dataset['of'], parent.dataset['shown']] = [of, shown];
   parent.oninput = () => (parent.dataset['shown'] = '');
-  if (!object && !light) {
-    parent.replaceChildren(make('p', { class: 'quiet' }, 'Nothing. Click an object or a light.'));
-    return;
-  }
-  const parts: HTMLElement[] = [make('strong', {}, picked!.name), buttons(object, light, actions)];
-  if (object && !object.hidden) parts.push(...ofObject(object, actions));
-  if (light) parts.push(...ofLight(light, actions, Boolean(object)));
-  parent.replaceChildren(...parts);
+  if (selected.length > 1) parent.replaceChildren(...several(objects, lights, actions));
+  else if (objects[0] ?? lights[0]) parent.replaceChildren(...single(selected[0]!, objects[0], lights[0], actions));
+  else parent.replaceChildren(make('p', { class: 'quiet' }, NOTHING));
   const again = [...parent.querySelectorAll<HTMLElement>('input, button')].find((item) => nameOf(item) === focused);
   if (focused) again?.focus();
 }
 
+function single({ name }: Picked, object: SceneObject | undefined, light: Light | undefined, actions: Actions): HTMLElement[] {
+  const parts: HTMLElement[] = [make('strong', {}, name), buttons(object ? [object] : [], light ? [light] : [], actions)];
+  if (object && !object.hidden) parts.push(...ofObject(object, actions));
+  if (light) parts.push(...ofLight(light, actions, Boolean(object)));
+  return parts;
+}
+
+/** What can be said of, and done to, several at once. */
+function several(objects: SceneObject[], lights: Light[], actions: Actions): HTMLElement[] {
+  const own = lights.filter(({ object }) => !objects.some(({ name }) => name === object));
+  const count = (n: number, what: string) => (n ? [`${n} ${what}${n > 1 ? 's' : ''}`] : []);
+  const elements = objects.reduce((sum, one) => sum + one.elements.count, 0);
+  const parts: HTMLElement[] = [
+    make('strong', {}, [...count(objects.length, 'object'), ...count(own.length, 'light')].join(', ')),
+    buttons(objects, own, actions),
+  ];
+  if (elements) parts.push(make('p', { class: 'quiet' }, `${elements.toLocaleString('en')} elements`));
+  parts.push(triple('Move by', 'metres', [0, 0, 0], 0.1, (axis, value) => {
+    const by: Point = [0, 0, 0];
+    by[axis] = value;
+    if (value !== 0) actions.move(new Matrix4().makeTranslation(...by));
+  }));
+  if (objects.length) parts.push(color('Albedo', objects.at(-1)!.albedo, actions.paint));
+  if (lights.length) {
+    const factor = number('Intensity, times', 1, { min: 0 }, actions.dim);
+    parts.push(make('div', { class: 'row' }, make('span', {}, 'Intensity ×'), factor));
+  }
+  return parts;
+}
+
 const nameOf = (element: Element | null) => element?.getAttribute('aria-label') ?? element?.textContent ?? null;
 
-function buttons(object: SceneObject | undefined, light: Light | null | undefined, actions: Actions): HTMLElement {
+function buttons(objects: SceneObject[], lights: Light[], actions: Actions): HTMLElement {
   const row = make('div', { class: 'actions' });
   const add = (text: string, action: () => void, title: string, kind = '') => {
     const one = button(text, action, kind);
@@ -52,16 +83,17 @@ function buttons(object: SceneObject | undefined, light: Light | null | undefine
     row.append(one);
     return one;
   };
-  if (object && !object.hidden) {
-    add('Frame', actions.frame, 'Fill the view with it (F)');
-    add('Duplicate', actions.duplicate, 'Another one beside it (Ctrl+D)');
-    add('To floor', actions.toFloor, 'Down onto what is below it (End)');
-    add('Hide', () => actions.hide(true), 'Out of the light, to be brought back (H)');
-  } else if (object) add('Show', () => actions.hide(false), 'Back into the light (H)');
-  else if (light?.position) {
-    add('Frame', actions.frame, 'Turn to it (F)');
-    add('Duplicate', actions.duplicate, 'Another one beside it (Ctrl+D)');
+  const them = objects.length + lights.length > 1 ? 'them' : 'it';
+  const isShown = objects.some(({ hidden }) => !hidden);
+  if (isShown || lights.some(({ position }) => position)) {
+    add('Frame', actions.frame, `Fill the view with ${them} (F)`);
+    add('Duplicate', actions.duplicate, them === 'it' ? 'Another one beside it (Ctrl+D)' : 'Others beside them (Ctrl+D)');
   }
+  if (isShown) {
+    add('To floor', actions.toFloor, `Down onto what is below ${them} (End)`);
+    add('Hide', () => actions.hide(true), 'Out of the light, to be brought back (H)');
+  }
+  if (objects.some(({ hidden }) => hidden)) add('Show', () => actions.hide(false), 'Back into the light (H)');
   add('Remove', actions.remove, 'Delete', 'bad').id = 'remove';
   return row;
 }

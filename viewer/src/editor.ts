@@ -3,6 +3,7 @@
 
 import { Refused, Unreachable, type Edit, type HistoryPage, type Job, type Scene } from 'rebake';
 import { client, type View } from './api';
+import { describe, turned } from './requests';
 
 interface Wish {
   label: string;
@@ -10,6 +11,8 @@ interface Wish {
   /** The same for every attempt: a request that has come through counts once. */
   key: string;
   scene: string;
+  /** It goes on with what the request before began: what was before that is still what was before. */
+  isOn: boolean;
   settled(accepted: Job | null): void;
 }
 
@@ -34,6 +37,7 @@ export class Editor {
   private isSending = false;
   private isAway = false;
   private retry = () => {};
+  private turning: Promise<void> = Promise.resolve();
 
   constructor(private readonly events: EditorEvents) {}
 
@@ -43,6 +47,11 @@ export class Editor {
     this.events.waiting([]);
     this.history = null;
     this.events.history(null);
+  }
+
+  /** Nothing waits for the service. */
+  get isIdle(): boolean {
+    return !this.isSending;
   }
 
   /** The service is back. */
@@ -59,18 +68,18 @@ export class Editor {
   }
 
   /** Sends an edit; null where it was not accepted, which has been said then. */
-  run(label: string, edits: Edit | Edit[]): Promise<Job | null> {
+  run(label: string, edits: Edit | Edit[], isOn = false): Promise<Job | null> {
     const scene = this.events.scene();
     if (!scene) return Promise.resolve(null);
     return new Promise((settled) => {
       const all = Array.isArray(edits) ? edits : [edits];
-      this.queue.push({ label, edits: all, key: crypto.randomUUID(), scene: scene.id, settled });
+      this.queue.push({ label, edits: all, key: crypto.randomUUID(), scene: scene.id, isOn, settled });
       void this.work();
     });
   }
 
-  undo = () => this.step('undo', this.history?.undo);
-  redo = () => this.step('redo', this.history?.redo);
+  undo = () => this.step('undo');
+  redo = () => this.step('redo');
 
   /** Looks at the history anew. */
   async refresh(): Promise<void> {
@@ -82,9 +91,18 @@ export class Editor {
     this.events.history(page);
   }
 
-  private async step(op: 'undo' | 'redo', sequence: number | null | undefined): Promise<void> {
-    const entry = this.history?.items.find((item) => item.sequence === sequence);
-    if (entry) await this.run(`${op}: ${describe(entry.request)}`, { op });
+  /** A drag is taken back, and made again, as a whole. One after the other: what comes next depends on what was turned. */
+  private step(op: 'undo' | 'redo'): Promise<void> {
+    const turn = async () => {
+      await this.refresh().catch(() => {});
+      const those = this.history ? turned(this.history, op) : [];
+      const jobs = those.map(({ request }, k) => this.run(`${op}: ${describe(request)}`, { op }, k > 0));
+      // Where the drag came by on its way is of no interest: what its jobs leave, the last one lights.
+      for (const by of jobs.slice(0, -1)) void by.then((job) => job && client.cancel(job.id)).catch(() => {});
+      await Promise.all(jobs);
+    };
+    this.turning = this.turning.then(turn);
+    return this.turning;
   }
 
   private async work(): Promise<void> {
@@ -111,14 +129,15 @@ export class Editor {
   private async attempt(wish: Wish): Promise<'done' | 'away'> {
     const scene = this.events.scene();
     if (scene?.id !== wish.scene) return this.drop(wish, 'the scene was left');
-    this.events.before();
+    if (!wish.isOn) this.events.before();
     // Undo and redo stand alone in their request.
     const edits = wish.edits.length === 1 ? wish.edits[0]! : wish.edits;
     const options = { focus: this.events.view(), ifMatch: scene.accepted_edits, idempotencyKey: wish.key };
     try {
       const job = await client.edit(scene.id, edits, options);
-      // What comes next is made for this.
-      scene.accepted_edits = Math.max(scene.accepted_edits, job.accepted_edits);
+      // What comes next is made for this; the scene may have been looked at anew meanwhile.
+      const now = this.events.scene();
+      if (now?.id === scene.id) now.accepted_edits = Math.max(now.accepted_edits, job.accepted_edits);
       this.events.accepted(job, wish.label);
       wish.settled(job);
       void this.refresh().catch(() => {});
@@ -136,31 +155,5 @@ export class Editor {
     this.events.dropped(wish.label, why);
     wish.settled(null);
     return 'done';
-  }
-}
-
-/** An edit request in a few words. */
-export function describe(request: object): string {
-  const edits = ('edits' in request ? request.edits : [request]) as Edit[];
-  const first = edits[0] ? one(edits[0]) : 'nothing';
-  return edits.length > 1 ? `${first} and ${edits.length - 1} more` : first;
-}
-
-function one(edit: Edit): string {
-  const some = (names: string[]) => (names.length > 1 ? `${names[0]} and ${names.length - 1} more` : (names[0] ?? ''));
-  switch (edit.op) {
-    case 'insert':
-    case 'insert_light': return `insert ${edit.name}`;
-    case 'remove': return `remove ${some(edit.objects)}`;
-    case 'hide': return `hide ${some(edit.objects)}`;
-    case 'show': return `show ${some(edit.objects)}`;
-    case 'move': return `move ${edit.object}`;
-    case 'material': return `repaint ${edit.object ?? edit.material}`;
-    case 'relight': return `relight ${some(edit.lights.map((light) => light.light))}`;
-    case 'remove_light': return `remove ${edit.light}`;
-    case 'move_light': return `move ${edit.light}`;
-    case 'group_lights': return `group ${some(edit.lights)}`;
-    case 'sky': return 'sky';
-    default: return edit.op;
   }
 }

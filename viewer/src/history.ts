@@ -1,17 +1,14 @@
 // The scene's edit requests, as the service has them.
 
-import type { HistoryEntry, HistoryPage } from 'rebake';
+import type { HistoryPage } from 'rebake';
 import { $, make } from './dom';
-import { describe } from './editor';
+import { deeds, describe } from './requests';
 
 const SHOWN = 40;
 
 /** The list, newest first, and what the buttons would take back or make again. */
 export function showHistory(page: HistoryPage | null): void {
-  // What was undone and cannot be made again any more is of no use to anybody.
-  const counts = ({ undone, sequence }: HistoryEntry) => !undone || (page?.redo != null && sequence >= page.redo);
-  const entries = (page?.items ?? []).filter((entry) => entry.undoes == null && entry.redoes == null && counts(entry));
-  const rows = entries.slice(-SHOWN).reverse().map((entry) => {
+  const rows = (page ? deeds(page) : []).slice(-SHOWN).reverse().map((entry) => {
     const row = make('li', {}, describe(entry.request));
     row.classList.toggle('faint', entry.undone);
     if (entry.undone) row.append(make('small', {}, ' undone'));

@@ -8,7 +8,9 @@ export interface KeyActions {
   hide(): void;
   toFloor(): void;
   letGo(): void;
+  all(): void;
   split(): void;
+  filter(): void;
   frame(): void;
   search(): void;
   gizmo(mode: string): void;
@@ -22,6 +24,7 @@ export function watchKeys(act: KeyActions): void {
     escape: act.letGo,
     end: act.toFloor,
     s: act.split,
+    n: () => act.filter(),
     f: act.frame,
     h: act.hide,
     w: () => act.gizmo('translate'),
@@ -35,6 +38,7 @@ export function watchKeys(act: KeyActions): void {
     z: (isShifted) => (isShifted ? act.redo() : act.undo()),
     y: act.redo,
     d: act.duplicate,
+    a: act.all,
   };
   document.addEventListener('keydown', (event) => {
     // What is typed belongs to where it is typed; dialogs have keys of their own. Sliders and buttons take no letters.

@@ -1,31 +1,48 @@
 // Wires it all together: one scene at a time, followed live.
 
-import { isOpen, makeWorker, streamInWorker, type FromWorker, type Job, type Light, type Rgb, type Scene, type Upload } from 'rebake';
+import { isOpen, type Job, type Light, type Rgb, type Scene, type Snapshot, type Upload } from 'rebake';
 import { client } from './api';
 import { Commands } from './commands';
+import { watchControls } from './controls';
 import { details } from './details';
 import { $ } from './dom';
 import { Editor } from './editor';
-import { onDrop, onFile } from './files';
+import { Feed } from './feed';
+import { onFile, watchDrops } from './files';
 import { showHistory } from './history';
 import { watchDialogs, watchKeys } from './keys';
 import type { LampKind } from './lamps';
 import { Library } from './library';
 import { LightMap } from './lightmap';
-import { outline } from './outline';
 import { attempting, banner, say, showNumbers } from './messages';
+import { Outline } from './outline';
 import { Plot } from './plot';
 import { Relighting } from './relighting';
 import { nameCameras, nameScenes, showScene } from './scene-dialog';
-import { Stage, type Picked } from './stage';
+import { Selection, type Picked } from './selection';
+import { Stage } from './stage';
 import { ask } from './upload';
 import { Views } from './views';
-import { merge, work } from './work';
+import { work } from './work';
 
 const stage = new Stage($('canvas'));
 const map = new LightMap();
 const plot = new Plot($('plot'));
-const worker = makeWorker();
+const selection = new Selection();
+const feed = new Feed({
+  job: heard,
+  jobs: () => (panelsOfWork(), settle()),
+  scene: refresh,
+  snapshot,
+  stated(error, elementsVersion) {
+    if (!scene) return;
+    scene.estimated_rmse = error;
+    if (elementsVersion > scene.elements_version) void attempt(refresh);
+  },
+  back: async () => editor.resume(),
+  deleted: () => void attempt(() => listScenes()),
+  attempt,
+});
 const editor = new Editor({
   scene: () => scene,
   view: () => stage.view(),
@@ -36,10 +53,11 @@ const editor = new Editor({
   },
   accepted(job, label) {
     say(`${label}: accepted`);
-    told(job);
+    feed.told(job);
   },
   conflict(label, again) {
     say(`${label}: not made`);
+    stage.settleBack();
     void attempt(async () => {
       await refresh();
       banner(`Somebody else has changed the scene: “${label}” was not made. Look at what is there now.`, false, { 'Do it all the same': again, 'Leave it': () => {} });
@@ -52,17 +70,13 @@ const editor = new Editor({
   dropped(label, why) {
     say(`${label}: dropped`);
     banner(`“${label}” was dropped: ${why}`);
+    stage.settleBack();
     void attempt(refresh);
   },
   history: showHistory,
 });
 
 let scene: Scene | null = null;
-let picked: Picked | null = null;
-let version = 0;
-let events = new AbortController();
-let stopStream = () => {};
-let jobs: Job[] = [];
 /** Names of the objects before the last edit: the others have no light to compare with. */
 let before = new Set<string>();
 let shownMesh = '';
@@ -71,12 +85,16 @@ let seen = 0;
 /** Counts scenes that were opened: of two at once the later one stays. */
 let opened = 0;
 const library = new Library();
+const outline = new Outline(choose);
+const views = new Views(() => scene, stage, map, attempt, () => feed.filter);
+const relighting = new Relighting(map, () => feed.filter);
+const grid = () => Number($<HTMLSelectElement>('grid').value);
+const commands = new Commands({ scene: () => scene, selection, choose, stops: () => views.exposure, grid }, editor, stage, map);
 
 /** Runs something that may fail, and says how; what the service refused may rest on an old state of the scene. */
-const attempt = (what: () => Promise<unknown>) => attempting(what, async () => scene && refresh());
-const views = new Views(() => scene, stage, map, attempt);
-const relighting = new Relighting(map);
-const commands = new Commands({ scene: () => scene, picked: () => picked, choose, stops: () => views.exposure }, editor, stage, map);
+function attempt(what: () => Promise<unknown>): Promise<void> {
+  return attempting(what, async () => scene && refresh());
+}
 
 // ---- scenes
 
@@ -89,9 +107,9 @@ async function listScenes(choose?: string): Promise<void> {
 }
 
 function leave(): void {
-  stopStream();
-  events.abort();
-  [scene, picked, jobs, shownMesh] = [null, null, [], ''];
+  feed.stop();
+  selection.choose([]);
+  [scene, shownMesh] = [null, ''];
   map.clear();
   stage.clear();
   plot.clear();
@@ -117,12 +135,10 @@ async function open(id: string): Promise<void> {
   location.hash = id;
   $<HTMLSelectElement>('scenes').value = id;
   $('welcome').hidden = true;
-  version = 0;
   await showMesh();
   nameCameras(scene);
   useCamera();
-  stopStream = streamInWorker(worker, client, id, streamed);
-  void listen(id);
+  feed.follow(id);
   await editor.refresh();
   panels();
   if (scene?.lights.length === 0) offerLight();
@@ -159,56 +175,28 @@ async function refresh(): Promise<void> {
   // It may have been asked before the answer to an edit that came meanwhile.
   const { accepted_edits } = now;
   now.accepted_edits = Math.max(now.accepted_edits, scene.accepted_edits);
-  const wasLit = scene.lights.length > 0;
+  const last = scene;
   scene = now;
-  const gone = picked && ![...now.objects, ...now.lights].some((x) => x.name === picked!.name);
-  if (gone) picked = null;
+  // What was accepted and is selected already may not be there yet.
+  const has = (of: Scene, { kind, name }: Picked) => (kind === 'object' ? of.objects : of.lights).some((one) => one.name === name);
+  selection.keep((one) => has(now, one) || !has(last, one));
   await showMesh();
   seen = accepted_edits;
-  stage.select(picked);
+  stage.select(selection.all);
   panels();
   // The layers' weights may be new.
   views.refresh();
   settle();
   prepare();
   await editor.refresh();
-  if (wasLit && now.lights.length === 0) offerLight();
+  if (last.lights.length > 0 && now.lights.length === 0) offerLight();
 }
 
 // ---- what the service tells
 
-async function listen(id: string): Promise<void> {
-  events = new AbortController();
-  const { signal } = events;
-  for await (const { type, data } of client.events(id, signal)) {
-    if (signal.aborted) return;
-    // Awaited, so that no older list comes after what events tell of a job.
-    if (type === 'scene_state') await attempt(() => listJobs(id));
-    else if (type === 'job') told(data);
-    else if (type === 'scene' && data.what === 'deleted') void attempt(() => listScenes());
-    else if (type === 'scene') void attempt(refresh);
-    else if (type === 'reset') await attempt(() => listJobs(id).then(refresh));
-    else if (type === 'snapshot' && scene) {
-      scene.estimated_rmse = data.estimated_rmse;
-      if (data.elements_version > scene.elements_version) void attempt(refresh);
-    }
-  }
-}
-
-/** Only once its events are heard: what ended before would never be told. */
-async function listJobs(id: string): Promise<void> {
-  const all = await client.jobs(id);
-  if (scene?.id !== id) return;
-  jobs = all;
-  panelsOfWork();
-  settle();
-}
-
-function told(job: Job): void {
-  jobs = merge(jobs, job);
+function heard(job: Job): void {
   const { estimated_rmse, elapsed_ms } = job.progress;
   if (typeof estimated_rmse === 'number') plot.add(job.id, elapsed_ms / 1000, estimated_rmse);
-  if (job.state === 'failed') banner(`The job failed: ${job.error}`);
   if (scene && !isOpen(job)) scene.estimated_rmse = estimated_rmse ?? scene.estimated_rmse;
   panelsOfWork();
   // Layers and their weights are those of the newest version.
@@ -218,54 +206,21 @@ function told(job: Job): void {
 
 /** Once the service's map has all that was relit, it counts and not what the page worked out. */
 function settle(): void {
-  if (!dragged && jobs.every((job) => !isOpen(job) && (job.progress.version ?? 0) <= version)) relighting.rest();
+  if (!dragged && feed.isComplete) relighting.rest();
 }
 
-let isLost = false;
-/** After a lost connection: what happened meanwhile. The light map's stream resumes by itself. */
-async function caughtUp(): Promise<void> {
-  if (!scene) return;
-  events.abort();
-  void listen(scene.id);
-  await refresh();
-}
-
-function streamed(data: FromWorker): void {
-  switch (data.type) {
-    case 'snapshot': {
-      version = data.version;
-      const grown = map.snapshot(data.frames);
-      // The arrays were replaced: the mesh has to look into the new ones.
-      if (grown && scene) {
-        shownMesh = '';
-        void attempt(refresh);
-      }
-      const rate = data.elements > 10_000 ? `, decoded at ${Math.round(data.elements / data.ms / 1000)} M elements/s` : '';
-      $('numbers').dataset['stream'] = `version ${version}: ${data.elements.toLocaleString('en')} values${rate}`;
-      settle();
-      views.refresh();
-      stage.invalidate();
-      break;
-    }
-    case 'offline':
-      isLost = true;
-      banner('The connection is lost. Trying again…', true);
-      say('Not connected');
-      break;
-    case 'online':
-      if (isLost) {
-        banner(null);
-        void attempt(caughtUp).then(() => editor.resume());
-      }
-      isLost = false;
-      say('Connected');
-      break;
-    case 'gone':
-      banner('The service no longer has this scene: it was deleted, or the service was started anew. Upload it again.');
-      void listScenes().catch(() => {});
-      break;
-    case 'failed': banner(data.why);
+function snapshot({ frames, version, elements, ms }: Snapshot): void {
+  const grown = map.snapshot(frames);
+  // The arrays were replaced: the mesh has to look into the new ones.
+  if (grown && scene) {
+    shownMesh = '';
+    void attempt(refresh);
   }
+  const rate = elements > 10_000 ? `, decoded at ${Math.round(elements / ms / 1000)} M elements/s` : '';
+  $('numbers').dataset['stream'] = `version ${version}: ${elements.toLocaleString('en')} values${rate}`;
+  settle();
+  views.refresh();
+  stage.invalidate();
 }
 
 function useCamera(): void {
@@ -275,9 +230,9 @@ function useCamera(): void {
 
 // ---- editing
 
-function choose(next: Picked | null): void {
-  picked = next;
-  stage.select(picked);
+function choose(next: readonly Picked[], isMore = false): void {
+  selection.choose(next, isMore);
+  stage.select(selection.all);
   panels();
   prepare();
 }
@@ -296,7 +251,7 @@ function relight(color: Rgb, intensity: number, done: boolean): void {
   dragged ??= structuredClone(commands.light);
   const from = dragged;
   if (!scene || !from) return;
-  if (views.isMap && relighting.show(scene, from, version, color, intensity)) stage.invalidate();
+  if (views.isMap && relighting.show(scene, from, feed.version, color, intensity)) stage.invalidate();
   if (!done) return;
   dragged = undefined;
   void attempt(async () => {
@@ -304,9 +259,13 @@ function relight(color: Rgb, intensity: number, done: boolean): void {
   });
 }
 
-stage.onPick = choose;
+stage.onPick = (picked, isMore) => {
+  if (picked || !isMore) choose(picked ? [picked] : [], isMore);
+};
 stage.onCamera = () => scene && views.isPicture && views.refresh();
-stage.onMoved = (_, delta) => void attempt(() => commands.move(delta));
+stage.onGrab = () => commands.grab();
+stage.onDrag = (by) => void attempt(() => commands.drag(by));
+stage.onDrop = (by) => void attempt(() => commands.drop(by));
 
 async function upload(file: File, settings: Upload | null): Promise<void> {
   if (!settings) return;
@@ -317,17 +276,26 @@ async function upload(file: File, settings: Upload | null): Promise<void> {
 }
 
 async function addAsset(file: File): Promise<void> {
-  say(`${await library.add(file)} is in the library: choose it to put it into the scene`);
+  const { name } = await library.add(file);
+  say(`${name} is in the library: choose it to put it into the scene, or drag it there`);
   panels();
+}
+
+/** Something is dropped onto the scene: it comes to stand there. */
+async function placeAt(what: File | string, at: MouseEvent): Promise<void> {
+  const where = stage.spotUnder(at) ?? stage.ahead();
+  const thing = typeof what === 'string' ? library.find(what) : await library.add(what);
+  panels();
+  if (thing) await commands.insert(thing, where);
 }
 
 // ---- the page
 
 function panels(): void {
-  outline(scene, picked, choose);
-  library.show((asset, name) => void attempt(() => commands.insert(asset, name)));
+  outline.show(scene, selection);
+  library.show((thing) => void attempt(() => commands.insert(thing, stage.ahead())));
   views.offer(scene);
-  details(scene, picked, {
+  details(scene, selection.all, {
     remove: () => void attempt(() => commands.remove()),
     duplicate: () => void attempt(() => commands.duplicate()),
     hide: (is) => void attempt(() => commands.hide(is)),
@@ -336,8 +304,9 @@ function panels(): void {
     aim: (direction) => void attempt(() => commands.aim(direction)),
     frame: () => stage.frameSelected(),
     relight,
+    dim: (factor) => void attempt(() => commands.dim(factor)),
     paint(albedo, done) {
-      if (commands.object) stage.paint(commands.object.name, albedo);
+      for (const { name } of commands.objects) stage.paint(name, albedo);
       if (done) void attempt(() => commands.paint(albedo));
     },
   });
@@ -346,14 +315,14 @@ function panels(): void {
 }
 
 function panelsOfWork(): void {
-  work(jobs, scene, {
+  work(feed.jobs, scene, {
     cancel: (job) => void attempt(() => client.cancel(job.id)),
     pause: (job) => void attempt(async () => {
       const now = await client.pause(job.id);
       // The event that it is paused may be faster than the answer that it will be.
-      if (jobs.find((one) => one.id === job.id)?.state !== 'paused') told(now);
+      if (feed.jobs.find((one) => one.id === job.id)?.state !== 'paused') feed.told(now);
     }),
-    resume: (job) => void attempt(async () => told(await client.resume(job.id))),
+    resume: (job) => void attempt(async () => feed.told(await client.resume(job.id))),
     light: () => void attempt(() => commands.lightRest()),
   });
 }
@@ -361,7 +330,14 @@ function panelsOfWork(): void {
 /** How the gizmo drags, and in which steps. */
 function gizmo(mode = $<HTMLSelectElement>('gizmo').value): void {
   $<HTMLSelectElement>('gizmo').value = mode;
-  stage.gizmoDoes(mode as 'translate' | 'rotate' | 'scale', Number($<HTMLSelectElement>('grid').value));
+  stage.gizmoDoes(mode as 'translate' | 'rotate' | 'scale', grid());
+}
+
+/** Light with its noise averaged away, or as it is kept. */
+function filter(is = feed.filter === 'none'): void {
+  $<HTMLInputElement>('filter').checked = is;
+  feed.setFilter(is ? 'statistical' : 'none');
+  prepare();
 }
 
 watchDialogs();
@@ -372,7 +348,9 @@ watchKeys({
   duplicate: () => void attempt(() => commands.duplicate()),
   hide: () => void attempt(() => commands.hide()),
   toFloor: () => void attempt(() => commands.toFloor()),
-  letGo: () => choose(null),
+  letGo: () => choose([]),
+  all: () => scene && choose(scene.objects.map(({ name }) => ({ kind: 'object', name }))),
+  filter,
   split: () => views.split(!stage.split),
   frame: () => stage.frameSelected(),
   search: () => $('search').focus(),
@@ -382,33 +360,38 @@ watchKeys({
 });
 onFile('file', (file) => attempt(async () => upload(file, await ask(file))));
 onFile('asset-file', (file) => attempt(() => addAsset(file)));
-$('upload').addEventListener('click', () => $('file').click());
-$('add-asset').addEventListener('click', () => $('asset-file').click());
-$('add-light').addEventListener('change', ({ target }) => {
-  const select = target as HTMLSelectElement;
-  const kind = select.value as LampKind | '';
-  select.value = '';
-  if (kind) void attempt(() => commands.addLight(kind));
+watchControls({
+  open: (id) => void attempt(() => open(id)),
+  about() {
+    const deleted = () => void listScenes();
+    const renamed = (now: Scene) => void attempt(async () => ((scene = now), await nameScenes(now.id)));
+    if (scene) showScene(scene, { renamed, deleted, attempt });
+  },
+  undo: () => void attempt(editor.undo),
+  redo: () => void attempt(editor.redo),
+  addLight: (kind) => void attempt(() => commands.addLight(kind)),
+  search: panels,
+  gizmo: () => gizmo(),
+  dropWaiting: () => editor.dropAll(),
+  view: (name) => views.set(name),
+  filter,
+  split: (is) => views.split(is),
+  camera: useCamera,
+  expose: (stops) => views.expose(stops),
 });
-$('scene-more').addEventListener('click', () => {
-  const deleted = () => void listScenes();
-  const renamed = (now: Scene) => void attempt(async () => ((scene = now), await nameScenes(now.id)));
-  if (scene) showScene(scene, { renamed, deleted, attempt });
+watchDrops({
+  canPlace: () => scene !== null,
+  scene: (file) => void attempt(async () => upload(file, await ask(file))),
+  library: (file) => void attempt(() => addAsset(file)),
+  place: (what, at) => void attempt(() => placeAt(what, at)),
 });
-$('search').addEventListener('input', panels);
-for (const id of ['gizmo', 'grid']) $(id).addEventListener('change', () => gizmo());
-$('waiting-drop').addEventListener('click', () => editor.dropAll());
-$('undo').addEventListener('click', () => void attempt(editor.undo));
-$('redo').addEventListener('click', () => void attempt(editor.redo));
-$('scenes').addEventListener('change', ({ target }) => void attempt(() => open((target as HTMLSelectElement).value)));
-$('view').addEventListener('change', ({ target }) => views.set((target as HTMLSelectElement).value));
-$('split').addEventListener('change', ({ target }) => views.split((target as HTMLInputElement).checked));
-$('cameras').addEventListener('change', useCamera);
-$('exposure').addEventListener('input', ({ target }) => views.expose(Number((target as HTMLInputElement).value)));
-onDrop((file) => attempt(async () => upload(file, await ask(file))));
 showNumbers(() => stage.frameMs);
 // For the console and for tests.
-Object.assign(window, { rebake: { stage, map, relighting, client, state: () => ({ scene, version, jobs, fresh: seen >= (scene?.accepted_edits ?? 0), exposure: views.exposure, view: views.current }) } });
+const state = () => ({
+  scene, version: feed.version, jobs: feed.jobs, filter: feed.filter, selected: selection.all,
+  fresh: seen >= (scene?.accepted_edits ?? 0), exposure: views.exposure, view: views.current,
+});
+Object.assign(window, { rebake: { stage, map, relighting, client, state } });
 
 showHistory(null);
 panels();

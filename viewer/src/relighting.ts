@@ -1,29 +1,34 @@
 // A light's new strength, shown before the service answers: where the light has a layer of its own, the map changes by
 // the difference of weights times that layer, which is the same sum that the service makes.
 
-import { apply, reach, readFrames, type Light, type Rgb, type Scene, type SceneLayer } from 'rebake';
+import { apply, reach, readFrames, type Filter, type Light, type Rgb, type Scene, type SceneLayer } from 'rebake';
 import { client } from './api';
 import type { LightMap } from './lightmap';
 
 export class Relighting {
   /** The layer of the light that is selected, as of a version. */
-  private held: { scene: string; name: string; version: number; values: Float32Array } | null = null;
+  private held: { scene: string; name: string; filter: Filter; version: number; values: Float32Array } | null = null;
   /** The map when a slider was touched, and what the layer counted in it. */
   private drag: { base: Float32Array; weight: Rgb; layer: SceneLayer } | null = null;
 
-  constructor(private readonly map: LightMap) {}
+  /** `filter`: what is done to the map that is shown. Layers that are filtered alike add up to it. */
+  constructor(
+    private readonly map: LightMap,
+    private readonly filter: () => Filter,
+  ) {}
 
   /** Whether a slider of the selected light acts at once, on a map of this version. */
   isReady(version: number): boolean {
-    return this.held?.version === version;
+    return this.held?.version === version && this.held.filter === this.filter();
   }
 
   /** Fetches what changed in a light's layer, all of it the first time. */
   async prepare(scene: Scene, light: Light): Promise<void> {
     const layer = own(scene, light);
     if (!layer || this.drag) return;
-    if (this.held?.scene !== scene.id || this.held.name !== layer.name) this.held = null;
-    const frames = readFrames(await client.deltas(scene.id, this.held?.version ?? 0, { layer: layer.name }));
+    const filter = this.filter();
+    if (this.held?.scene !== scene.id || this.held.name !== layer.name || this.held.filter !== filter) this.held = null;
+    const frames = readFrames(await client.deltas(scene.id, this.held?.version ?? 0, { layer: layer.name, filter }));
     let values = this.held?.values ?? new Float32Array();
     const elements = Math.max(values.length / 3, ...frames.map(reach));
     if (3 * elements > values.length) {
@@ -33,7 +38,7 @@ export class Relighting {
     }
     for (const frame of frames) apply(frame, values);
     const version = Math.max(this.held?.version ?? 0, ...frames.map((frame) => frame.version));
-    this.held = { scene: scene.id, name: layer.name, version, values };
+    this.held = { scene: scene.id, name: layer.name, filter, version, values };
   }
 
   /** Shows a strength; answers whether that can be done. `version`: the map's. */

@@ -1,29 +1,28 @@
 // The scene in 3D: meshes that show the light map, markers for lights, camera, picking, gizmo.
 
 import {
-  AgXToneMapping, Box3, BufferAttribute, BufferGeometry, Color, Group, Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial,
-  Object3D, PerspectiveCamera, Raycaster, Scene as ThreeScene, ShaderMaterial, SphereGeometry, Vector2, Vector3,
-  WebGLRenderer,
+  AgXToneMapping, Box3, BufferGeometry, Color, Group, Matrix4, Mesh, MeshStandardMaterial, PerspectiveCamera,
+  Raycaster, Scene as ThreeScene, ShaderMaterial, Vector2, Vector3, WebGLRenderer, type Object3D,
 } from 'three';
-import type { Camera, Light, Point, Scene, SceneObject } from 'rebake';
+import type { Camera, Point, Scene } from 'rebake';
 import { OrbitControls } from 'three/examples/jsm/controls/OrbitControls.js';
-import { TransformControls } from 'three/examples/jsm/controls/TransformControls.js';
 import { GLTFLoader } from 'three/examples/jsm/loaders/GLTFLoader.js';
 import type { LightMap } from './lightmap';
+import { Grip } from './grip';
+import { Markers } from './markers';
 import { shared, surface } from './material';
-import { rise } from './rays';
+import { asItWas } from './past';
+import type { Picked } from './selection';
+import { isUnder, rise, spotAt, type Spot } from './surfaces';
 import type { View } from './api';
 
-export interface Picked {
-  kind: 'object' | 'light';
-  name: string;
-}
-
 export class Stage {
-  /** Something was clicked, or nothing. */
-  onPick: (picked: Picked | null) => void = () => {};
-  /** The gizmo was let go: by which world-space matrix the selected moved. */
-  onMoved: (picked: Picked, delta: Matrix4) => void = () => {};
+  /** Something was clicked, or nothing; with `isMore` beside what is selected. */
+  onPick: (picked: Picked | null, isMore: boolean) => void = () => {};
+  /** What is selected was taken hold of, is dragged, was let go: by which world-space matrix it has moved since. */
+  onGrab: () => void = () => {};
+  onDrag: (by: Matrix4) => void = () => {};
+  onDrop: (by: Matrix4) => void = () => {};
   /** The camera came to rest. */
   onCamera: () => void = () => {};
   /** Milliseconds from frame to frame, when something moved last. */
@@ -34,15 +33,13 @@ export class Stage {
   private readonly scene = new ThreeScene();
   private readonly camera = new PerspectiveCamera(60, 1, 0.01, 1000);
   private readonly orbit: OrbitControls;
-  private readonly gizmo: TransformControls;
-  private readonly pivot = new Object3D();
+  private readonly gizmo: Grip;
   private readonly objects = new Map<string, Group>();
   /** What stood where before the last edit, with its light of then; null where that is what stands there now. */
   private past: Group[] | null = null;
-  private readonly markers = new Map<string, Mesh>();
-  private selected: Picked | null = null;
+  private readonly markers = new Markers(this.scene);
+  private selected: readonly Picked[] = [];
   private dirty = true;
-  private pivotStart = new Matrix4();
 
   constructor(private readonly canvas: HTMLCanvasElement) {
     this.renderer = new WebGLRenderer({ canvas, antialias: true });
@@ -52,12 +49,14 @@ export class Stage {
     this.orbit = new OrbitControls(this.camera, canvas);
     this.orbit.addEventListener('change', () => this.invalidate());
     this.orbit.addEventListener('end', () => this.onCamera());
-    this.gizmo = new TransformControls(this.camera, canvas);
-    this.gizmo.setSize(0.8);
-    this.gizmo.addEventListener('change', () => this.invalidate());
-    this.gizmo.addEventListener('objectChange', () => this.dragged());
-    this.gizmo.addEventListener('dragging-changed', (event) => this.dragging(event.value as boolean));
-    this.scene.add(this.pivot, this.gizmo.getHelper());
+    this.gizmo = new Grip(this.scene, this.camera, canvas, {
+      changed: () => this.invalidate(),
+      held: (is) => this.held(is),
+      dragged: (by) => {
+        this.shift(by);
+        this.onDrag(by);
+      },
+    });
     this.watchClicks();
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement!);
     this.resize();
@@ -93,11 +92,11 @@ export class Stage {
 
   /** Shows nothing. */
   clear(): void {
-    this.select(null);
+    this.select([]);
     this.remember();
     this.dispose(this.objects.values());
     this.objects.clear();
-    this.mark([], []);
+    this.markers.show([], 1);
     this.invalidate();
   }
 
@@ -152,7 +151,9 @@ export class Stage {
         }
       });
     }
-    this.mark(scene.lights, scene.objects);
+    const size = scene.objects.length ? this.bounds().getSize(new Vector3()).length() : 1;
+    this.markers.show(scene.lights, size / 120);
+    if (this.gizmo.isHeld) this.shift(this.gizmo.by);
     this.invalidate();
   }
 
@@ -162,44 +163,56 @@ export class Stage {
     this.invalidate();
   }
 
-  select(picked: Picked | null): void {
-    this.selected = picked;
+  select(selected: readonly Picked[]): void {
+    this.selected = selected;
+    const names = new Set(selected.filter(({ kind }) => kind === 'object').map(({ name }) => name));
     for (const [name, group] of this.objects) {
-      const on = picked?.kind === 'object' && picked.name === name ? 1 : 0;
-      for (const child of group.children) ((child as Mesh).material as ShaderMaterial).uniforms['selected']!.value = on;
+      for (const child of group.children) ((child as Mesh).material as ShaderMaterial).uniforms['selected']!.value = names.has(name) ? 1 : 0;
     }
-    const target = picked && (picked.kind === 'object' ? this.objects.get(picked.name) : this.markers.get(picked.name));
-    if (target) {
-      new Box3().setFromObject(target).getCenter(this.pivot.position);
-      this.pivot.updateMatrixWorld(true);
-      this.pivotStart.copy(this.pivot.matrixWorld);
-      this.gizmo.attach(this.pivot);
-    } else this.gizmo.detach();
+    // What is in the hand stays there.
+    if (!this.gizmo.isHeld) this.gizmo.put(this.selectedBox()?.getCenter(new Vector3()) ?? null);
     this.invalidate();
   }
 
   /** What dragging the gizmo does, and in which steps (0: none): metres, and 15 degrees with any. */
   gizmoDoes(mode: 'translate' | 'rotate' | 'scale', grid: number): void {
-    this.gizmo.setMode(mode);
-    this.gizmo.setTranslationSnap(grid || null);
-    this.gizmo.setRotationSnap(grid ? Math.PI / 12 : null);
-    this.gizmo.setScaleSnap(grid ? 0.1 : null);
+    this.gizmo.does(mode, grid);
     this.invalidate();
   }
 
-  /** By how much an object has to rise to stand on what is below it; null where nothing is. */
-  dropOf(name: string): number | null {
-    const own = this.objects.get(name);
-    const others = [...this.objects].filter(([other]) => other !== name).map(([, group]) => group);
-    return own ? rise(own, others) : null;
+  /** By how much each of these objects has to rise to stand on what is below it, the others where they come to stand. */
+  dropsOf(names: string[]): Map<string, number> {
+    const boxes = new Map([...this.objects].map(([name, group]) => [name, new Box3().setFromObject(group)]));
+    const found = new Map<string, number>();
+    for (const name of names.filter((one) => boxes.has(one)).sort((a, b) => boxes.get(a)!.min.y - boxes.get(b)!.min.y)) {
+      const [group, box] = [this.objects.get(name)!, boxes.get(name)!];
+      const others = [...boxes].filter(([other, its]) => other !== name && isUnder(its, box)).map(([other]) => this.objects.get(other)!);
+      const by = rise(box, others);
+      if (by === null || Math.abs(by) < 1e-4) continue;
+      place(group, new Matrix4().makeTranslation(0, by, 0));
+      box.translate(new Vector3(0, by, 0));
+      found.set(name, by);
+    }
+    this.invalidate();
+    return found;
   }
 
-  /** The point of a surface in the middle of the view; where there is none, what the camera turns about. */
-  ahead(): Point {
-    const ray = new Raycaster();
-    ray.setFromCamera(new Vector2(0, 0), this.camera);
-    const [hit] = ray.intersectObjects([...this.objects.values()], true);
-    return (hit?.point ?? this.orbit.target).toArray() as Point;
+  /** Everything stands where the scene has it: what was moved here was not moved there. */
+  settleBack(): void {
+    for (const group of this.objects.values()) place(group, new Matrix4());
+    for (const { name } of this.selected) this.markers.move(name, new Matrix4());
+    this.select(this.selected);
+  }
+
+  /** What is seen under a pointer; null where nothing is. */
+  spotUnder(event: MouseEvent): Spot | null {
+    return spotAt(this.within(event), this.camera, [...this.objects.values()]);
+  }
+
+  /** What is seen in the middle of the view; where nothing is, level ground at what the camera turns about. */
+  ahead(): Spot {
+    const found = spotAt(new Vector2(0, 0), this.camera, [...this.objects.values()]);
+    return found ?? { point: this.orbit.target.clone(), normal: new Vector3(0, 1, 0) };
   }
 
   /** Stands where a camera of the file stands, with the horizon level. */
@@ -226,14 +239,14 @@ export class Stage {
 
   /** Turns to the selected, from where it fills most of the view. */
   frameSelected(): void {
-    const shown = this.selected && (this.objects.get(this.selected.name) ?? this.markers.get(this.selected.name));
-    if (!shown) return;
-    const size = new Box3().setFromObject(shown).getSize(new Vector3()).length() / 2;
+    const box = this.selectedBox();
+    if (!box) return;
+    const [middle, size] = [box.getCenter(new Vector3()), box.getSize(new Vector3()).length() / 2];
     const least = this.bounds().getSize(new Vector3()).length() / 12;
     const half = (Math.min(this.camera.fov, this.camera.fov * this.camera.aspect) * Math.PI) / 360;
     const back = this.camera.position.clone().sub(this.orbit.target).normalize();
-    this.orbit.target.copy(this.pivot.position);
-    this.camera.position.copy(this.pivot.position).addScaledVector(back, (1.25 * Math.max(size, least)) / Math.sin(half));
+    this.orbit.target.copy(middle);
+    this.camera.position.copy(middle).addScaledVector(back, (1.25 * Math.max(size, least)) / Math.sin(half));
     this.settle();
   }
 
@@ -286,44 +299,33 @@ export class Stage {
     }
   }
 
-  private mark(lights: Light[], objects: SceneObject[]): void {
-    for (const marker of this.markers.values()) {
-      this.scene.remove(marker);
-      marker.geometry.dispose();
-      (marker.material as MeshBasicMaterial).dispose();
-    }
-    this.markers.clear();
-    const radius = (objects.length ? this.bounds().getSize(new Vector3()).length() : 1) / 120;
-    for (const light of lights) {
-      if (!light.position) continue;
-      const strongest = Math.max(...light.color, 1e-6);
-      const color = new Color().setRGB(...(light.color.map((c) => c / strongest) as Point));
-      const marker = new Mesh(new SphereGeometry(radius, 16, 12), new MeshBasicMaterial({ color, toneMapped: false }));
-      marker.position.fromArray(light.position);
-      marker.userData['picked'] = { kind: 'light', name: light.name } satisfies Picked;
-      this.markers.set(light.name, marker);
-      this.scene.add(marker);
-    }
+  /** What of the scene is selected and shown, as a box. */
+  private selectedBox(): Box3 | null {
+    const shown = this.selected.flatMap(({ kind, name }): Object3D[] => {
+      const found = kind === 'object' ? this.objects.get(name) : this.markers.get(name);
+      return found ? [found] : [];
+    });
+    const box = new Box3();
+    for (const one of shown) box.expandByObject(one);
+    return box.isEmpty() ? null : box;
   }
 
-  private dragged(): void {
-    this.pivot.updateMatrix();
-    const group = this.selected?.kind === 'object' && this.objects.get(this.selected.name);
-    if (group) {
-      // Its meshes carry their place themselves: the group's matrix is what was moved since.
-      group.matrix.copy(this.pivot.matrix).multiply(this.pivotStart.clone().invert());
-      group.matrixWorldNeedsUpdate = true;
+  /** Shows what is selected by so much beside where the scene has it. */
+  private shift(by: Matrix4): void {
+    for (const { kind, name } of this.selected) {
+      const group = kind === 'object' ? this.objects.get(name) : undefined;
+      if (group) place(group, by);
+      else this.markers.move(name, by);
     }
-    if (this.selected?.kind === 'light') this.markers.get(this.selected.name)?.position.copy(this.pivot.position);
+    this.invalidate();
   }
 
-  private dragging(is: boolean): void {
+  private held(is: boolean): void {
     this.orbit.enabled = !is;
-    if (is || !this.selected) return;
-    this.pivot.updateMatrix();
-    const delta = this.pivot.matrix.clone().multiply(this.pivotStart.clone().invert());
-    this.pivotStart.copy(this.pivot.matrix);
-    if (!delta.equals(new Matrix4())) this.onMoved(this.selected, delta);
+    if (is) return this.onGrab();
+    const { by } = this.gizmo;
+    this.onDrop(by);
+    this.select(this.selected);
   }
 
   private watchClicks(): void {
@@ -332,17 +334,20 @@ export class Stage {
     this.canvas.addEventListener('pointerup', (e) => {
       // A click, not the end of an orbit or of a drag at the gizmo.
       if (!down || down.distanceTo(new Vector2(e.clientX, e.clientY)) > 4 || this.gizmo.axis) return;
-      this.onPick(this.at(e));
+      this.onPick(this.at(e), e.shiftKey || e.ctrlKey || e.metaKey);
     });
   }
 
-  private at(event: PointerEvent): Picked | null {
+  /** Where in the view a pointer is, from −1 to 1. */
+  private within(event: MouseEvent): Vector2 {
     const box = this.canvas.getBoundingClientRect();
-    const x = ((event.clientX - box.left) / box.width) * 2 - 1;
-    const y = 1 - ((event.clientY - box.top) / box.height) * 2;
+    return new Vector2(((event.clientX - box.left) / box.width) * 2 - 1, 1 - ((event.clientY - box.top) / box.height) * 2);
+  }
+
+  private at(event: MouseEvent): Picked | null {
     const ray = new Raycaster();
-    ray.setFromCamera(new Vector2(x, y), this.camera);
-    const [hit] = ray.intersectObjects([...this.markers.values(), ...this.objects.values()], true);
+    ray.setFromCamera(this.within(event), this.camera);
+    const [hit] = ray.intersectObjects([...this.markers.meshes, ...this.objects.values()], true);
     return hit?.object.userData['picked'] ?? hit?.object.parent?.userData['picked'] ?? null;
   }
 
@@ -384,17 +389,8 @@ export class Stage {
   }
 }
 
-/** An object of before the edit: with the light of then as its own, out of the picture until it is asked for. */
-function asItWas(group: Group): Group {
-  group.visible = false;
-  group.matrix.identity();
-  group.matrixWorldNeedsUpdate = true;
-  for (const child of group.children) {
-    const { geometry, material } = child as Mesh<BufferGeometry, ShaderMaterial>;
-    const light = new BufferAttribute(geometry.getAttribute('base').array.slice(), 3);
-    geometry.setAttribute('light', light);
-    geometry.setAttribute('base', light);
-    material.uniforms['selected']!.value = 0;
-  }
-  return group;
+/** Its meshes carry their place themselves: the group's matrix is what was moved since. */
+function place(group: Group, by: Matrix4): void {
+  group.matrix.copy(by);
+  group.updateMatrixWorld(true);
 }

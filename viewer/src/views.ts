@@ -1,6 +1,6 @@
 // What is looked at, and how: parts of the light, layers, the service's own pictures, exposure, the split.
 
-import { readFrames, type Scene } from 'rebake';
+import { readFrames, type Filter, type Scene } from 'rebake';
 import { client, pictures } from './api';
 import type { LightMap } from './lightmap';
 import { shared } from './material';
@@ -21,6 +21,7 @@ export class Views {
     private readonly stage: Stage,
     private readonly map: LightMap,
     private readonly attempt: (what: () => Promise<unknown>) => Promise<void>,
+    private readonly filter: () => Filter,
   ) {}
 
   /** Whether the view shows a picture that the service makes. */
@@ -101,7 +102,7 @@ export class Views {
     const name = view.startsWith(LAYER) ? view.slice(LAYER.length) : null;
     const layer = scene.layers.find((layer) => layer.name === name);
     if (name !== null && !layer) return;
-    const file = await client.lightMap(scene.id, { format: 'raw', layer: name === null ? view : `"${name}"` });
+    const file = await client.lightMap(scene.id, { format: 'raw', layer: name === null ? view : `"${name}"`, filter: this.filter() });
     if (request !== this.request) return;
     // As bright as it is in the map, not at unit emission.
     this.map.showLayer(readFrames(file), layer?.weight);

@@ -83,7 +83,7 @@ try {
     return said;
   };
   /** Selects something in a list. */
-  const choose = (list, name) => page.locator(`#${list} [role=option]`).filter({ has: page.locator(`xpath=self::*[@data-name="${name}"]`) }).click();
+  const choose = (list, name, modifiers = []) => page.locator(`#${list} [data-name="${name}"]`).click({ modifiers });
   await page.goto(base);
   await page.waitForFunction(() => document.getElementById('status').textContent.startsWith('Ready'));
   await shot('1-empty');

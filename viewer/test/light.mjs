@@ -1,12 +1,35 @@
 // What the page shows of a scene's light, and basic edits, against the service's own pictures.
 
+import { createHash } from 'node:crypto';
 import { difference, patch } from './pictures.mjs';
+
+/** Light comes with its noise averaged away unless it is not wanted so: in both cases what a download gives, bit for bit. */
+async function filtered({ page, check, client, scene }) {
+  const { ElementMap, readFrames } = await import(new URL('../../clients/js/dist/index.js', import.meta.url));
+  const shows = async (filter) => {
+    const whole = new ElementMap();
+    whole.apply(readFrames(await client.lightMap(scene.id, { format: 'raw', filter })));
+    const wanted = createHash('sha256').update(new Uint8Array(whole.values.buffer)).digest('hex');
+    await page.waitForFunction(async (wanted) => {
+      const digest = await crypto.subtle.digest('SHA-256', window.rebake.map.current);
+      return [...new Uint8Array(digest)].map((byte) => byte.toString(16).padStart(2, '0')).join('') === wanted;
+    }, wanted);
+    return wanted;
+  };
+  const smooth = await shows('statistical');
+  await page.locator('#filter').uncheck();
+  check(smooth !== (await shows('none')), 'light is shown as it was computed');
+  await page.locator('#filter').check();
+  check(smooth === (await shows('statistical')), 'and with its noise averaged away, which is how it comes');
+}
 
 export async function checkLight({ page, room, objectName, check, shot, state, canvas, rendered, settled, project, choose, client, scene }) {
   // The page and the service agree on what the room looks like: the median over a grid of the pixels' difference.
   const [seen, drawn] = [await canvas(), await rendered()];
   const median = difference(seen, drawn);
   check(median < 4, `page and service show the same room (median ${median.toFixed(2)} of 255)`);
+
+  await filtered({ page, check, client, scene });
 
   // Under the object: a point of the floor in the middle of its footprint.
   const { bounds } = scene.objects.find((o) => o.name === objectName);

@@ -27,7 +27,7 @@ async function unlit(room) {
 
 async function small({ page, check, shot }) {
   await page.setViewportSize({ width: 1024, height: 640 });
-  await page.locator('#objects [role=option]').nth(1).click();
+  await page.locator('#objects [data-name]').nth(1).click();
   await shot('30-small');
   const fits = await page.evaluate(() => {
     const stage = document.getElementById('stage').getBoundingClientRect();

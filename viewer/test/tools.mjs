@@ -5,7 +5,10 @@ import { patch } from './pictures.mjs';
 export async function checkTools(about) {
   await numbers(about);
   await copies(about);
+  await several(about);
+  await drops(about);
   await lamps(about);
+  await drag(about);
   await lists(about);
   await away(about);
   await others(about);
@@ -115,6 +118,108 @@ async function lamps(about) {
   check(patch(await canvas(), [0.5, 0.85]) > 0, 'and all are taken back');
 }
 
+async function several(about) {
+  const { page, check, choose, settled, objectName, state, shot } = about;
+  const [first, second] = [objectName, 'lamp'];
+  await choose('objects', first);
+  await choose('objects', second, ['Control']);
+  check((await page.locator('#details strong').textContent()) === '2 objects', 'several are selected with Ctrl');
+  await choose('objects', 'room', ['Shift']);
+  const names = (await state()).selected.map(({ name }) => name);
+  check(names.length === 3 && names.at(-1) === 'room', 'and all between with Shift');
+  await choose('objects', first);
+  await choose('objects', second, ['Control']);
+  const was = await Promise.all([first, second].map((name) => found(about, name)));
+  const { scene } = await state();
+  await page.getByLabel('Move by x, metres').fill('0.3');
+  await page.keyboard.press('Enter');
+  await page.waitForFunction((n) => window.rebake.state().scene.accepted_edits > n && window.rebake.state().fresh, scene.accepted_edits);
+  const now = await Promise.all([first, second].map((name) => found(about, name)));
+  check(now.every((one, k) => close(one.bounds.min[0] - was[k].bounds.min[0], 0.3)) && (await state()).scene.accepted_edits === scene.accepted_edits + 1, 'they are moved by one edit');
+  await page.locator('#canvas').focus();
+  await page.keyboard.press('Control+d');
+  const copies = [first, second].map((name) => `${name}-2`);
+  await page.waitForFunction((all) => all.every((n) => window.rebake.state().scene.objects.some((o) => o.name === n)), copies);
+  await page.waitForFunction(() => window.rebake.state().selected.map(({ name }) => name).join() === 'cupboard-2,lamp-2');
+  await shot('20b-several');
+  await page.locator('#canvas').focus();
+  await page.keyboard.press('Delete');
+  await page.waitForFunction((all) => !all.some((n) => window.rebake.state().scene.objects.some((o) => o.name === n)), copies);
+  check((await state()).selected.length === 0, 'copied, and removed');
+  await undo(about, 3);
+  check((await found(about, second)).transform.every((x, k) => close(x, was[1].transform[k], 1e-6)), 'and each is taken back at once');
+  await settled();
+}
+
+/** A file, and a thing of the library, dropped onto the scene. */
+async function drops(about) {
+  const { page, check, settled, objectName, client, scene, project, state, shot } = about;
+  const file = Buffer.from(await client.objectMesh(scene.id, objectName)).toString('base64');
+  const box = await page.locator('#canvas').boundingBox();
+  const point = [3, 0, 2.6];
+  const [u, v] = await project(point);
+  await page.evaluate(([bytes, x, y]) => {
+    const dataTransfer = new DataTransfer();
+    dataTransfer.items.add(new File([Uint8Array.from(atob(bytes), (c) => c.charCodeAt(0))], 'box.glb'));
+    const init = { bubbles: true, cancelable: true, clientX: x, clientY: y, dataTransfer };
+    for (const type of ['dragover', 'drop']) document.getElementById('canvas').dispatchEvent(new DragEvent(type, init));
+  }, [file, box.x + u * box.width, box.y + v * box.height]);
+  const there = (name) => page.waitForFunction((n) => window.rebake.state().scene.objects.some((o) => o.name === n) && window.rebake.state().fresh, name);
+  await there('box');
+  const one = await found(about, 'box');
+  const at = middle(one);
+  check(close(one.bounds.min[1], 0, 0.02) && close(at[0], point[0], 0.05) && close(at[2], point[2], 0.05), 'a file that is dropped stands on the surface under the pointer');
+  await settled();
+  // Onto the wall at the back, in steps of the grid.
+  const spot = await project([2.6, 1.6, 0]);
+  await page.selectOption('#grid', '0.5');
+  await page.locator('#assets [data-name="box"]').dragTo(page.locator('#canvas'), { targetPosition: { x: spot[0] * box.width, y: spot[1] * box.height } });
+  await there('box-2');
+  const { bounds } = await found(about, 'box-2');
+  await page.selectOption('#grid', '0');
+  check(close(bounds.min[2], 0, 0.02) && close(middle({ bounds })[0], 2.5, 0.01) && close(middle({ bounds })[1], 1.5, 0.01), 'a thing of the library that is dragged there hangs on the wall, in step with the grid');
+  await settled();
+  await shot('20c-dropped');
+  await undo(about, 2);
+  check(!(await state()).scene.objects.some((o) => o.name.startsWith('box')), 'and both are taken back');
+}
+
+/** A lamp is lit where it is dragged along, and the drag is one step of undo. */
+async function drag(about) {
+  const { page, check, settled, state, project } = about;
+  const { scene } = await state();
+  await page.selectOption('#add-light', 'point');
+  await page.waitForFunction((n) => window.rebake.state().selected[0]?.name === 'point-1' && window.rebake.state().scene.lights.length > n, scene.lights.length);
+  await settled();
+  const lamp = async () => (await state()).scene.lights.find((l) => l.name === 'point-1').position;
+  const [was, box] = [await lamp(), await page.locator('#stage').boundingBox()];
+  const screen = async (p) => (await project(p)).map((x, k) => (k ? box.y + x * box.height : box.x + x * box.width));
+  const [from, to] = [await screen(was), await screen([was[0] + 1, was[1], was[2]])];
+  const along = (t) => [from[0] + (to[0] - from[0]) * t, from[1] + (to[1] - from[1]) * t];
+  let grip = 0;
+  for (let t = 0.05; t < 2 && !grip; t += 0.03) {
+    await page.mouse.move(...along(t));
+    if ((await page.evaluate(() => window.rebake.stage.gizmo.axis)) === 'X') grip = t;
+  }
+  const { accepted_edits } = (await state()).scene;
+  await page.mouse.down();
+  await page.mouse.move(...along(grip + 0.1));
+  await page.mouse.move(...along(grip + 0.2));
+  await page.waitForFunction((n) => window.rebake.state().scene.accepted_edits > n, accepted_edits);
+  check(true, 'a lamp is lit where it is dragged along');
+  await page.mouse.move(...along(grip + 0.5));
+  await page.mouse.up();
+  await page.waitForFunction((x) => window.rebake.state().scene.lights.find((l) => l.name === 'point-1').position[0] > x + 0.3, was[0]);
+  await settled();
+  const rows = () => page.locator('#history li').allTextContents();
+  check((await rows()).slice(0, 2).join() === 'move point-1,insert point-1', 'its way is one row of the history');
+  await page.locator('#undo').click();
+  await page.waitForFunction((x) => Math.abs(window.rebake.state().scene.lights.find((l) => l.name === 'point-1').position[0] - x) < 1e-5, was[0]);
+  await settled();
+  check((await lamp()).every((x, k) => close(x, was[k], 1e-5)), 'and is taken back at once');
+  await undo(about);
+}
+
 async function lists(about) {
   const { page, check, objectName, state } = about;
   const { scene } = await state();
@@ -129,7 +234,12 @@ async function lists(about) {
   const path = new RegExp(`/v1/scenes/${scene.id}$`);
   await page.route(path, many);
   await page.reload();
-  await page.waitForFunction(() => document.querySelectorAll('#objects [role=option]').length > 500);
+  const rows = (count) => page.waitForFunction((n) => document.querySelectorAll('#objects [role=treeitem]').length === n, count);
+  await rows(scene.objects.length + 1);
+  const group = page.locator('#objects [data-key="group thing"]');
+  check((await group.textContent()).includes('thing × 500'), 'objects that are called alike are one row of the list');
+  await group.locator('.twist').click();
+  await rows(scene.objects.length + 501);
   const stops = await page.evaluate(() => ['objects', 'lights'].map((id) => document.querySelectorAll(`#${id} [tabindex="0"]`).length));
   check(stops.join() === '1,1', 'each list is one stop of the tab key');
   const view = page.viewportSize();
@@ -139,7 +249,7 @@ async function lists(about) {
   }
   await about.shot('23-many');
   await page.locator('#search').fill('thing 49');
-  await page.waitForFunction(() => document.querySelectorAll('#objects [role=option]').length === 11);
+  await rows(11);
   check((await page.locator('#object-count').textContent()) === `11 of ${500 + scene.objects.length}`, 'a search leaves what fits');
   await page.locator('#search').fill('');
   await page.keyboard.press('Tab');
@@ -149,6 +259,15 @@ async function lists(about) {
   await page.keyboard.press('Enter');
   check((await page.evaluate(() => document.activeElement.dataset.name)) === scene.objects[1].name, 'arrows go along a list');
   check((await page.locator('#details strong').textContent()) === scene.objects[1].name, 'and Enter selects');
+  await page.keyboard.press('Shift+ArrowUp');
+  check((await page.locator('#details strong').textContent()) === '2 objects', 'and Shift goes on from there');
+  await page.keyboard.press('End');
+  await group.focus();
+  await page.keyboard.press('ArrowLeft');
+  await rows(scene.objects.length + 1);
+  await group.focus();
+  await page.keyboard.press('Enter');
+  check((await page.locator('#details strong').textContent()) === '500 objects', 'a group is closed and selected by the keyboard');
   await page.unroute(path, many);
   await page.reload();
   await page.waitForFunction((n) => window.rebake.state().scene?.objects.length === n && window.rebake.state().version > 0, scene.objects.length);

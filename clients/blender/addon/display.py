@@ -1,4 +1,5 @@
-"""The light map in Blender: one image of all pages, coordinates on the meshes, and nodes that show it."""
+"""The light map in Blender: one image of all pages with coordinates on the meshes, or colours of their corners, and
+nodes that show it."""
 
 from __future__ import annotations
 
@@ -8,6 +9,7 @@ from contextlib import contextmanager
 import bpy
 import numpy as np
 
+from . import colors
 from .core.models import AtlasObject
 
 IMAGE, UV_MAP = "rebake light map", "Lightmap"
@@ -17,20 +19,27 @@ MADE, SURFACE = "rebake_made", "rebake_surface"
 SCALE, OFFSET = "rebake_scale", "rebake_offset"
 
 
-def set_image(pages: Sequence[str]) -> bpy.types.Image:
-    """The image with these pages (OpenEXR files) side by side. Values are linear: irradiance / π."""
+def joined(pages: Sequence[str]) -> np.ndarray:
+    """These pages (OpenEXR files) side by side, (rows, columns, 4), the lowest row first. Values are linear: irradiance
+    / π."""
     arrays = [_pixels(page) for page in pages]
     width, height = sum(page.shape[1] for page in arrays), max(page.shape[0] for page in arrays)
-    image = bpy.data.images.get(IMAGE)
-    if image is None:
-        image = bpy.data.images.new(IMAGE, width, height, float_buffer=True, is_data=True)
-    elif tuple(image.size) != (width, height):
-        image.scale(width, height)
     whole = np.zeros((height, width, 4), np.float32)
     left = 0
     for page in arrays:
         whole[: page.shape[0], left : left + page.shape[1]] = page
         left += page.shape[1]
+    return whole
+
+
+def set_image(whole: np.ndarray) -> bpy.types.Image:
+    """The image with these values, (rows, columns, 4), the lowest row first."""
+    height, width = whole.shape[:2]
+    image = bpy.data.images.get(IMAGE)
+    if image is None:
+        image = bpy.data.images.new(IMAGE, width, height, float_buffer=True, is_data=True)
+    elif tuple(image.size) != (width, height):
+        image.scale(width, height)
     image.pixels.foreach_set(whole.ravel())
     image.update()
     return image
@@ -70,6 +79,11 @@ def place(one: bpy.types.Object, where: AtlasObject, sizes: Sequence[tuple[int, 
             one[name] = value
 
 
+def on_image(one: bpy.types.Object, coordinates: np.ndarray) -> np.ndarray:
+    """Where on the image the corners of an object lie, (corners, 2), from their coordinates."""
+    return coordinates * np.array(one[SCALE])[:2] + np.array(one[OFFSET])[:2]
+
+
 def take_off(one: bpy.types.Object) -> None:
     """The object is not on the image: materials show it as they were."""
     for name in (SCALE, OFFSET):
@@ -93,9 +107,16 @@ def set_coordinates(mesh: bpy.types.Mesh, coordinates: np.ndarray) -> None:
     layer.uv.foreach_set("vector", coordinates.astype(np.float32).ravel())
 
 
-def show(material: bpy.types.Material, image: bpy.types.Image) -> None:
+def coordinates_of(mesh: bpy.types.Mesh) -> np.ndarray:
+    """The UV map that it has, (corners, 2)."""
+    values = np.empty(2 * len(mesh.loops), np.float32)
+    mesh.uv_layers[UV_MAP].uv.foreach_get("vector", values)
+    return values.reshape(-1, 2)
+
+
+def show(material: bpy.types.Material, image: bpy.types.Image | None) -> None:
     """The material sends out what the light map says instead of being lit: base colour × light map, and what it
-    emits."""
+    emits. The light map is the image, or without one the colours of the corners."""
     if not material.use_nodes or SURFACE in material.node_tree:
         return
     tree = material.node_tree
@@ -107,14 +128,11 @@ def show(material: bpy.types.Material, image: bpy.types.Image) -> None:
     link = surface.links[0] if surface.is_linked else None
     tree[SURFACE] = [link.from_node.name, link.from_socket.identifier] if link else ["", ""]
     add = _Adder(tree, output.location)
-    coordinates = add("ShaderNodeUVMap", 0, uv_map=UV_MAP)
     scale = add("ShaderNodeAttribute", 1, attribute_type="OBJECT", attribute_name=SCALE)
-    offset = add("ShaderNodeAttribute", 2, attribute_type="OBJECT", attribute_name=OFFSET)
-    on_page = add("ShaderNodeVectorMath", 3, operation="MULTIPLY_ADD")
-    for at, source in enumerate((coordinates.outputs["UV"], scale.outputs["Vector"], offset.outputs["Vector"])):
-        tree.links.new(source, on_page.inputs[at])
-    light = add("ShaderNodeTexImage", 4, image=image, extension="EXTEND")
-    tree.links.new(on_page.outputs["Vector"], light.inputs["Vector"])
+    if image is None:
+        light = add("ShaderNodeAttribute", 4, attribute_name=colors.ATTRIBUTE)
+    else:
+        light = _on_image(tree, add, scale, image)
     lit = add("ShaderNodeVectorMath", 5, operation="MULTIPLY")
     tree.links.new(light.outputs["Color"], lit.inputs[0])
     _copy(tree, shader.inputs["Base Color"], lit.inputs[1])
@@ -140,6 +158,24 @@ def show(material: bpy.types.Material, image: bpy.types.Image) -> None:
     tree.links.new(either.outputs[0], surface)
 
 
+def _on_image(tree: bpy.types.NodeTree, add: _Adder, scale: bpy.types.Node, image: bpy.types.Image) -> bpy.types.Node:
+    """The image, read where the object lies on it."""
+    coordinates = add("ShaderNodeUVMap", 0, uv_map=UV_MAP)
+    offset = add("ShaderNodeAttribute", 2, attribute_type="OBJECT", attribute_name=OFFSET)
+    on_page = add("ShaderNodeVectorMath", 3, operation="MULTIPLY_ADD")
+    for at, source in enumerate((coordinates.outputs["UV"], scale.outputs["Vector"], offset.outputs["Vector"])):
+        tree.links.new(source, on_page.inputs[at])
+    light = add("ShaderNodeTexImage", 4, image=image, extension="EXTEND")
+    tree.links.new(on_page.outputs["Vector"], light.inputs["Vector"])
+    return light
+
+
+def _image_of(material: bpy.types.Material) -> bpy.types.Image | None:
+    """The image that its nodes of the add-on show; none where they show colours of corners."""
+    made = (node for node in material.node_tree.nodes if node.get(MADE) and node.type == "TEX_IMAGE")
+    return next((node.image for node in made), None)
+
+
 def hide(material: bpy.types.Material) -> None:
     """The material is what it was."""
     tree = material.node_tree
@@ -163,14 +199,13 @@ def is_shown(material: bpy.types.Material) -> bool:
 @contextmanager
 def as_they_were(materials: Iterable[bpy.types.Material]) -> Iterator[None]:
     """Materials without the light map, until the end: what is sent is the scene and not what is shown of it."""
-    shown = [material for material in materials if is_shown(material)]
-    image = bpy.data.images.get(IMAGE)
-    for material in shown:
+    shown = [(material, _image_of(material)) for material in materials if is_shown(material)]
+    for material, _ in shown:
         hide(material)
     try:
         yield
     finally:
-        for material in shown if image else ():
+        for material, image in shown:
             show(material, image)
 
 

@@ -10,7 +10,7 @@ from queue import Empty
 import bpy
 import numpy as np
 
-from . import display, send, settings
+from . import colors, display, send, settings
 from .core.models import AtlasObject, JobInfo
 from .scan import Scanner
 from .state import Changes, Known, SceneState, changes
@@ -49,6 +49,8 @@ class Link:
         self.known = Known()
         self.status = Status()
         self.is_ready = False
+        #: Colours of corners hold the light map, and no image.
+        self.as_colors = wanted.target == "COLORS"
         #: The newest light map is shown, but not in the file yet.
         self.is_unkept = False
         self.places: tuple[AtlasObject, ...] = ()
@@ -200,15 +202,29 @@ class Link:
                 display.take_off(one)
             elif where.object not in self.unshown:
                 display.place(one, where, sizes)
-        image = display.set_image(light.pages)
+        whole = display.joined(light.pages)
         _remove(light.pages)
-        self.is_unkept = True
+        if self.as_colors:
+            self._color(whole)
+        else:
+            display.set_image(whole)
+        self.is_unkept = not self.as_colors
         if self.status.version == 0:
+            # What an earlier bake shows may be held by something else.
+            self.show(False)
             self.show(True)
-        elif any(display.is_shown(material) for material in self._materials()):
-            for material in self._materials():
-                display.show(material, image)
+        elif self.is_shown:
+            self.show(True)
         self.status.version, self.status.stated_error = light.version, light.stated_error
+
+    def _color(self, whole: np.ndarray) -> None:
+        """Writes what is on the image into the corners of the meshes."""
+        for one in self._counted():
+            if display.SCALE not in one or one.type != "MESH":
+                continue
+            mesh = one.data
+            own = display.coordinates_of(mesh) if display.has_own(mesh) else self.laid_out[mesh.session_uid][1]
+            colors.write(mesh, colors.read(whole, display.on_image(one, own)))
 
     def _lay_out(self, one: bpy.types.Object, where: AtlasObject, coordinates: np.ndarray | None) -> bool:
         """Sees to it that the UV map of an object holds its coordinates; answers whether it can."""
@@ -216,6 +232,11 @@ class Link:
         if one.type != "MESH":
             return False
         mesh = one.data
+        # Colours are of the mesh: of its instances the first one has them.
+        if self.as_colors:
+            owner, _ = self.laid_out.setdefault(mesh.session_uid, (one.session_uid, coordinates))
+            if owner != one.session_uid:
+                return False
         if display.has_own(mesh):
             return where.texcoord == "file"
         if coordinates is None or len(coordinates) != len(mesh.loops):
@@ -227,14 +248,15 @@ class Link:
         ):
             return False
         self.laid_out[mesh.session_uid] = owner, coordinates
-        display.set_coordinates(mesh, coordinates)
+        if not self.as_colors:
+            display.set_coordinates(mesh, coordinates)
         return True
 
     def show(self, on: bool) -> None:
         """Materials show the light map, or what they were."""
-        image = bpy.data.images.get(display.IMAGE)
+        image = None if self.as_colors else bpy.data.images.get(display.IMAGE)
         for material in self._materials():
-            if on and image is not None:
+            if on and (image is not None or self.as_colors):
                 display.show(material, image)
             else:
                 display.hide(material)

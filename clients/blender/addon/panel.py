@@ -96,7 +96,7 @@ class REBAKE_PT_panel(bpy.types.Panel):
         wanted, link = context.scene.rebake, live.link
         column = layout.column()
         column.enabled = link is None
-        for name in ("server", "only_selected", "texels_per_metre", "spacing", "samples"):
+        for name in ("server", "only_selected", "target", "texels_per_metre", "spacing", "samples"):
             column.prop(wanted, name)
         layout.prop(wanted, "follow_edits")
         row = layout.row(align=True)

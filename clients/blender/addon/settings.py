@@ -29,6 +29,14 @@ class Settings(bpy.types.PropertyGroup):
     samples: bpy.props.IntProperty(
         name="Samples", default=64, min=1, max=65536, description="Samples per element of bakes and of updates"
     )
+    target: bpy.props.EnumProperty(
+        name="Target",
+        items=[
+            ("IMAGE", "Image", "The image “rebake light map” and the UV map “Lightmap”"),
+            ("COLORS", "Color Attribute", "The attribute “rebake light map” at corners, for finely divided meshes"),
+        ],
+        description="What holds the light map",
+    )
     follow_edits: bpy.props.BoolProperty(
         name="Live", default=True, description="Send what is edited: moves, objects that come and go, colours, lights"
     )

@@ -15,7 +15,8 @@ import numpy as np
 from .coordinates import loop_coordinates, page_coordinates
 from .core.decode import decode
 from .core.edits import Edit, Insert
-from .core.flows import EventFlows, JobFlows, SceneFlows, ServiceFlows
+from .core.flows import SceneFlows, ServiceFlows
+from .core.jobs import EventFlows, JobFlows
 from .core.models import Atlas, JobInfo, SceneInfo
 from .core.problems import RebakeError
 from .core.sse import Event

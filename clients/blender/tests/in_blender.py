@@ -28,7 +28,7 @@ ARCHIVE, SERVER, PICTURES = sys.argv[1:4]
 ADD_ON = "bl_ext.user_default.rebake"
 bpy.ops.wm.read_factory_settings(use_empty=True)
 bpy.ops.extensions.package_install_files(filepath=ARCHIVE, repo="user_default", enable_on_install=True)
-display, live = import_module(f"{ADD_ON}.display"), import_module(f"{ADD_ON}.live")
+colors, display, live = (import_module(f"{ADD_ON}.{name}") for name in ("colors", "display", "live"))
 
 SAMPLES = 128
 
@@ -236,6 +236,56 @@ def change_everything() -> None:
     lamp.data.energy, lamp.data.color, lamp.location.x = 160, (1, 0.8, 0.6), 0.5
 
 
+def color_attribute() -> None:
+    """The light map as colours of corners, of a finely divided mesh, against what Cycles bakes there."""
+    one = bpy.data.objects["ball 2"]
+    layers = set(one.data.uv_layers.keys())
+    bpy.context.scene.rebake.target = "COLORS"
+    assert bpy.ops.rebake.bake() == {"FINISHED"}
+    edit("baked into colours")
+    assert live.link.is_shown and set(one.data.uv_layers.keys()) == layers, "it needs no UV map of its own"
+    first = colors_of(one, colors.ATTRIBUTE)
+    one.location.z -= 0.2
+    edit("moved, with colours")
+    mine = colors_of(one, colors.ATTRIBUTE)
+    assert abs(mine - first).max() > 0.01, "colours follow edits"
+    live.link.show(False)
+    first, second = (cycles_colors(one, seed) for seed in (1, 2))
+    theirs, noise = (first + second) / 2, np.sqrt(np.mean((first - second) ** 2) / 4)
+    typical, off = np.median(abs(mine - theirs)) / 0.6745, mine.mean() / theirs.mean() - 1
+    stated = live.link.status.stated_error
+    print(
+        f"colours of {len(mine)} corners: mean {mine.mean():.4f}, by Cycles {theirs.mean():.4f} ({100 * off:+.2f} %); "
+        f"typical difference {typical:.4f}, stated error {stated:.4f}, noise of Cycles {noise:.4f}",
+        flush=True,
+    )
+    assert len(mine) == len(one.data.loops) and abs(off) < 0.02
+    assert typical < 1.25 * np.hypot(stated, noise), "no further apart than both say"
+    live.link.show(True)
+
+
+def cycles_colors(one: bpy.types.Object, seed: int) -> np.ndarray:
+    """What Cycles bakes into a colour attribute of its corners, (corners, 3)."""
+    scene = bpy.context.scene
+    scene.render.engine, scene.cycles.samples, scene.cycles.seed = "CYCLES", SAMPLES, seed
+    baked = one.data.color_attributes.new("baked", "FLOAT_COLOR", "CORNER")
+    one.data.attributes.active_color = baked
+    for other in scene.objects:
+        other.select_set(other == one)
+    bpy.context.view_layer.objects.active = one
+    bpy.ops.object.bake(type="DIFFUSE", pass_filter={"DIRECT", "INDIRECT"}, target="VERTEX_COLORS")
+    values = colors_of(one, "baked")
+    one.data.color_attributes.remove(one.data.color_attributes["baked"])
+    return values
+
+
+def colors_of(one: bpy.types.Object, name: str) -> np.ndarray:
+    """A colour attribute of its corners, (corners, 3)."""
+    values = np.empty(4 * len(one.data.loops), np.float32)
+    one.data.color_attributes[name].data.foreach_get("color", values)
+    return values.reshape(-1, 4)[:, :3]
+
+
 def cancel() -> None:
     """A bake that would take an hour ends when it is told to."""
     bpy.context.scene.rebake.samples = 65536
@@ -279,6 +329,7 @@ def main() -> None:
     edit("baked anew")
     assert {place.texcoord for place in live.link.places} == {"file"}
     assert abs(light_at("ball 2").mean() / before.mean() - 1) < 0.05
+    color_attribute()
     cancel()
     bpy.ops.preferences.addon_disable(module=ADD_ON)
     assert live.link is None and not hasattr(bpy.types.Scene, "rebake")

@@ -4,7 +4,7 @@ import { follow, type ServiceEvent } from './events.js';
 import { Connection, type ConnectionOptions } from './http.js';
 import { stream, type StreamEvent, type StreamOptions } from './stream.js';
 import type {
-  Asset, AssetSummary, Atlas, Edit, EditOptions, HistoryEntry, HistoryPage, Job, ObjectDetail, Samples, Scene,
+  Asset, AssetSummary, Atlas, Edit, EditOptions, Filter, HistoryEntry, HistoryPage, Job, ObjectDetail, Samples, Scene,
   ScenePatch, ScenePlan, SceneSummary, Upload,
 } from './types.js';
 import { isOpen } from './types.js';
@@ -121,11 +121,11 @@ export class Rebake {
   /** The whole light map as a file: `glb` (the subdivided mesh; `layout: 'atlas'`: own triangles with pages), `exr`, `raw`. */
   lightMap = (
     scene: string,
-    query: { format?: 'glb' | 'exr' | 'raw'; layout?: 'vertices' | 'atlas'; layer?: string; part?: string } = {},
+    query: { format?: 'glb' | 'exr' | 'raw'; layout?: 'vertices' | 'atlas'; layer?: string; part?: string; filter?: Filter } = {},
   ): Promise<ArrayBuffer> => this.bytes(`${of(scene)}/lightmap${search(query)}`);
 
   /** What changed since a version, in frames: see `readFrames`. */
-  deltas = (scene: string, since: number, query: { layer?: string; part?: string } = {}): Promise<ArrayBuffer> =>
+  deltas = (scene: string, since: number, query: { layer?: string; part?: string; filter?: Filter } = {}): Promise<ArrayBuffer> =>
     this.bytes(`${of(scene)}/lightmap/deltas${search({ since, ...query })}`);
 
   /** Where objects lie in the atlas. */
@@ -134,7 +134,7 @@ export class Rebake {
   atlasPage = (
     scene: string,
     page: number,
-    query: { format?: 'exr' | 'png'; precision?: 'half' | 'float'; layer?: string; part?: string } = {},
+    query: { format?: 'exr' | 'png'; precision?: 'half' | 'float'; layer?: string; part?: string; filter?: Filter } = {},
   ): Promise<ArrayBuffer> => this.bytes(`${of(scene)}/atlas/${page}${search(query)}`);
 
   object = (scene: string, object: string): Promise<ObjectDetail> => this.json(`${objectPath(scene, object)}?format=json`);

@@ -2,6 +2,7 @@
 
 import { FrameReader, LAST, type Frame } from './frames.js';
 import { Connection, delay, pause, Refused } from './http.js';
+import type { Filter } from './types.js';
 
 /** All frames between two versions that are shown. */
 export interface Snapshot {
@@ -22,7 +23,9 @@ export interface StreamOptions {
   since?: number;
   layer?: string;
   part?: 'full' | 'direct' | 'indirect' | 'error';
-  precision?: 'float' | 'half';
+  /** `statistical`: with noise averaged away where the errors allow it. `since` is of values that were filtered alike. */
+  filter?: Filter;
+  precision?: 'full' | 'half';
   signal?: AbortSignal;
 }
 

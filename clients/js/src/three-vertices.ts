@@ -11,6 +11,9 @@ import type { Held, LitMesh } from './three-held.js';
 import type { Scene } from './types.js';
 import type { FromWorker } from './worker.js';
 
+/** As pages of an atlas come: to look at. */
+const FILTERED = { filter: 'statistical' } as const;
+
 /** The light of one object, which looks into the map. */
 interface Window {
   first: number;
@@ -71,10 +74,10 @@ export class VertexLight implements Layout {
     };
     if (this.inWorker && typeof Worker !== 'undefined') {
       this.worker = this.inWorker === true ? makeWorker() : this.inWorker();
-      streamInWorker(this.worker, this.client, this.id, heard);
+      streamInWorker(this.worker, this.client, this.id, heard, FILTERED);
       return;
     }
-    for await (const event of this.client.follow(this.id, { signal: this.signal })) heard(event);
+    for await (const event of this.client.follow(this.id, { ...FILTERED, signal: this.signal })) heard(event);
   }
 
   close(): void {

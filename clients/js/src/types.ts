@@ -28,6 +28,9 @@ export type {
   SceneEvent, ScenePatch, ScenePlan, SceneSummary, SnapshotEvent,
 } from './openapi.js';
 
+/** What is done to light on its way here; what the service keeps stays as it is. */
+export type Filter = 'none' | 'statistical';
+
 /** One edit. */
 export type Edit = api.SingleEdit;
 /** What every edit request may carry beside its edits. */

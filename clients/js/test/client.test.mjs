@@ -88,12 +88,13 @@ test('a stream comes back by itself with the last whole snapshot, and starts ane
   const answers = [body(one, half), json({ title: 'Conflict' }, 409), body(two), json({ title: 'Not found' }, 404)];
   const { asked, rebake } = client((_, n) => answers[n - 1]);
   const heard = [];
-  for await (const event of rebake.follow('s1')) {
+  for await (const event of rebake.follow('s1', { filter: 'statistical' })) {
     heard.push(event.type === 'snapshot' ? `${event.version}: ${[...event.frames.at(-1).values]}` : event.type);
   }
   assert.deepEqual(heard, ['online', '4: 1,2,3', 'offline', 'online', '1: 7,8,9', 'offline', 'gone']);
-  const since = asked.map((a) => new URLSearchParams(a.path.split('?')[1]).get('since'));
-  assert.deepEqual(since, ['0', '4', '0', '1']);
+  const of = (name) => asked.map((a) => new URLSearchParams(a.path.split('?')[1]).get(name));
+  assert.deepEqual(of('since'), ['0', '4', '0', '1']);
+  assert.deepEqual(of('filter'), Array(4).fill('statistical'), 'of values that are filtered alike');
 });
 
 test('events go on behind the last one', async () => {

@@ -11,8 +11,9 @@ from test_delta import frame
 
 import rebake
 from rebake import Problem, RebakeError, Remove, TransportFailed
-from rebake.core.flows import EventFlows, JobFlows, SceneFlows, ServiceFlows
+from rebake.core.flows import SceneFlows, ServiceFlows
 from rebake.core.follow import Follower
+from rebake.core.jobs import EventFlows, JobFlows
 from rebake.core.steps import Close, Item, Now, Open, Patience, Read, Request, Response, Send, Sleep
 
 JOB = {

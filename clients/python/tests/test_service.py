@@ -48,6 +48,8 @@ def test_a_scene_is_baked_edited_and_deleted(client: Client, tmp_path: Path) -> 
     assert light_map.values.dtype == np.float32 and light_map.values.min() >= 0 and light_map.values.mean() > 0.1
     top = (elements.object == 1) & (elements.normal[:, 1] > 0.9)
     assert np.allclose(elements.position[top, 1], 0.4) and top.any()
+    smooth = scene.light_map(filter="statistical")
+    assert smooth.values.shape == light_map.values.shape and not np.array_equal(smooth.values, light_map.values)
     error = scene.light_map(part="error").values[:, 0]
     stated = np.sqrt(np.average(error.astype(float) ** 2, weights=elements.area))
     assert stated == pytest.approx(baked.estimated_rmse, rel=0.05), "the error of the elements is that of the map"

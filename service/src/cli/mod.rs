@@ -183,6 +183,8 @@ mod tests {
             "rebake edit s1 --json -",
             "rebake edit s1 --wait insert chair.glb --at 1,0,2 --rotate-y 90",
             "rebake edit s1 --wait remove sofa chair-*",
+            "rebake edit s1 remove sofa --wait --samples 8 --server http://h:1 --token t",
+            "rebake edit s1 relight lamp --color 4,1,1 --yes --if-match 3 --wait",
             "rebake edit s1 move sofa --transform 1,0,0,0,0,1,0,0,0,0,1,0,2,0,1,1",
             "rebake edit s1 --samples 64 --max-seconds 2 --target-rmse 0.01 material sofa --albedo 0.6,0.1,0.1",
             "rebake edit s1 relight lamp --color 1,0.9,0.8 --intensity 2.5",
@@ -207,6 +209,7 @@ mod tests {
             "rebake assets --json",
             "rebake assets add chair.glb noon.hdr --server http://h:1",
             "rebake assets delete abc",
+            "rebake assets --server http://h:1 --token t",
             "rebake health",
             "rebake openapi",
         ] {

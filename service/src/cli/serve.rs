@@ -1,7 +1,7 @@
 //! `rebake serve`: the service itself.
 
 use std::io::IsTerminal;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
@@ -104,6 +104,9 @@ pub(super) async fn serve(args: ServeArgs) -> anyhow::Result<()> {
     }
     tokens.clone().into_iter().for_each(reload_at_hangup);
     ui::out(&format!("listening on http://{address}"))?;
+    if rebake::viewer::is_embedded() {
+        ui::note(&format!("open {} in a browser for the page", page(address)));
+    }
     let mut config =
         rebake::Config { data_dir: args.data_dir, tokens, cors_origins: args.cors_origin, ..config(args.threads) };
     config.idle_refine = args.idle_refine.map(|error_share| IdleRefine { error_share, ..IdleRefine::default() });
@@ -125,6 +128,16 @@ fn refuse_to_be_open(address: SocketAddr, has_tokens: bool, is_insecure: bool) -
         "--listen {address} can be reached from other machines, and nobody would be asked for a token: \
          give --token-file, or --insecure if that is what you want"
     )
+}
+
+/// Where a browser on this machine finds the page: an address that stands for all of them is none to go to.
+fn page(address: SocketAddr) -> String {
+    let port = address.port();
+    match address.ip() {
+        IpAddr::V4(ip) if ip.is_unspecified() => format!("http://127.0.0.1:{port}/"),
+        IpAddr::V6(ip) if ip.is_unspecified() => format!("http://[::1]:{port}/"),
+        _ => format!("http://{address}/"),
+    }
 }
 
 /// Reads the token file again at SIGHUP.
@@ -191,6 +204,18 @@ pub(super) fn openapi_document() -> anyhow::Result<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_page_is_where_a_browser_can_go() {
+        for (listened, opened) in [
+            ("127.0.0.1:7878", "http://127.0.0.1:7878/"),
+            ("0.0.0.0:80", "http://127.0.0.1:80/"),
+            ("[::]:7878", "http://[::1]:7878/"),
+            ("192.168.1.7:1", "http://192.168.1.7:1/"),
+        ] {
+            assert_eq!(page(listened.parse().unwrap()), opened);
+        }
+    }
 
     #[test]
     fn an_open_door_has_to_be_asked_for() {

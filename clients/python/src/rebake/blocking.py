@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, TypeVar
 import httpx
 
 from .core.delta import LightMap
-from .core.flows import JobFlows, SceneFlows, ServiceFlows
+from .core.flows import SceneFlows, ServiceFlows
 from .core.follow import Follower, Snapshot
+from .core.jobs import JobFlows
 from .core.models import JobInfo
 from .core.steps import Close, Flow, Item, Now, Open, Patience, Read, Send, Sleep, Step, Stream
 from .core.uploads import File, Upload

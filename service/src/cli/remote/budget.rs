@@ -9,13 +9,13 @@ use super::operation::set;
 #[derive(Clone, Copy, Debug, Default, clap::Args)]
 pub(super) struct BudgetArgs {
     /// Budget: samples per element
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub(super) samples: Option<u32>,
     /// Budget: time from when it is asked for, waiting included
-    #[arg(long, value_name = "SECONDS", value_parser = positive)]
+    #[arg(long, global = true, value_name = "SECONDS", value_parser = positive)]
     pub(super) max_seconds: Option<f64>,
     /// Budget: stop at this stated error (RMSE of radiance / albedo)
-    #[arg(long, value_name = "RMSE", value_parser = positive)]
+    #[arg(long, global = true, value_name = "RMSE", value_parser = positive)]
     pub(super) target_rmse: Option<f64>,
 }
 

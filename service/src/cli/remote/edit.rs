@@ -36,18 +36,18 @@ pub(in super::super) struct EditArgs {
     #[arg(long, value_name = "FILE", required = true)]
     json: Option<String>,
     /// Return when the light map is up to date
-    #[arg(long)]
+    #[arg(long, global = true)]
     wait: bool,
     #[command(flatten)]
     budget: BudgetArgs,
     /// Take colours of lights with channels above 1 as they are, without asking
-    #[arg(long)]
+    #[arg(long, global = true)]
     yes: bool,
     /// Refuse unless the scene has accepted exactly so many edits (`accepted_edits`, its ETag)
-    #[arg(long, value_name = "EDITS")]
+    #[arg(long, value_name = "EDITS", global = true)]
     if_match: Option<u64>,
     /// A word of your choice that makes it safe to send the same edit twice
-    #[arg(long, value_name = "KEY")]
+    #[arg(long, value_name = "KEY", global = true)]
     idempotency_key: Option<String>,
     #[command(subcommand)]
     operation: Option<Operation>,
@@ -194,6 +194,7 @@ mod tests {
             json_of("--samples 8 --target-rmse 0.5 remove a"),
             json!({"op": "remove", "objects": ["a"], "budget": {"samples_per_element": 8, "target_rmse": 0.5}})
         );
+        assert_eq!(json_of("remove a --samples 8"), json_of("--samples 8 remove a"), "or behind it");
     }
 
     #[test]

@@ -32,10 +32,10 @@ use super::ui;
 #[derive(Debug, clap::Args)]
 pub(super) struct ServerArgs {
     /// Address of the service
-    #[arg(long, value_name = "URL", env = "REBAKE_SERVER", default_value = "http://127.0.0.1:7878")]
+    #[arg(long, global = true, value_name = "URL", env = "REBAKE_SERVER", default_value = "http://127.0.0.1:7878")]
     server: String,
     /// Access token, where the service asks for one
-    #[arg(long, value_name = "TOKEN", env = "REBAKE_TOKEN", hide_env_values = true)]
+    #[arg(long, global = true, value_name = "TOKEN", env = "REBAKE_TOKEN", hide_env_values = true)]
     token: Option<String>,
 }
 

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from .decode import decode
 from .delta import LightMap, read_frames
-from .flows import EventFlows, SceneFlows
+from .flows import SceneFlows
+from .jobs import EventFlows
 from .models import JobInfo, SceneInfo
 from .problems import Problem
 from .sse import Event
