@@ -70,7 +70,7 @@ fn on_screen(p: DVec3) -> DVec2 {
     DVec2::new(to.z, to.x) / -to.y / 0.6_f64.tan()
 }
 
-/// Slots of elements that stay, whose values two maps do not share.
+/// Slots of unchanged elements, whose values two maps do not share.
 fn changed(before: &World, after: &World, a: &LightMap, b: &LightMap) -> Vec<usize> {
     let stays = |i: usize| i < before.slots() && before.is_valid(i) && after.is_valid(i) && before.areas()[i] > 0.0;
     let same = |i: usize| {

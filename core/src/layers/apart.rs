@@ -81,11 +81,11 @@ impl<'a> Old<'a> {
     }
 }
 
-/// New rows keep no value, wherever they are.
+/// New slots keep no value, wherever they are.
 fn kept(transition: &Transition) -> Vec<bool> {
     let slots = (0..transition.after.slots()).into_par_iter().with_min_len(CHUNK);
     let mut keeps: Vec<bool> = slots.map(|slot| transition.keeps(slot)).collect();
-    transition.new_rows.iter().for_each(|&slot| keeps[slot as usize] = false);
+    transition.new_slots.iter().for_each(|&slot| keeps[slot as usize] = false);
     keeps
 }
 
@@ -229,7 +229,7 @@ mod tests {
     fn both_ways_agree<V: Value>(layers: usize, weights: &[Vec3]) {
         let transition = transition();
         let (before, after) = (transition.before.slots(), transition.after.slots());
-        assert!(!transition.new_rows.is_empty() && (0..after).any(|slot| !transition.after.is_valid(slot)));
+        assert!(!transition.new_slots.is_empty() && (0..after).any(|slot| !transition.after.is_valid(slot)));
         let mut rng = Pcg32::new(7, layers as u64);
         let mut light = |slots: usize| -> Vec<Vec3> { (0..slots).map(|_| Vec3::splat(rng.next_f32())).collect() };
         let mut sum = Accumulator::<V>::new(weights, Stated::Full);
@@ -257,8 +257,8 @@ mod tests {
         let stack = Stack::of_mean(&sum, Some(&old.stack()), validity);
         let by_way = Apart::of_stack(&stack, layers);
         assert!(at_once.layers == by_way.layers && at_once.variance == by_way.variance);
-        // What has gone leaves nothing, and new rows have nothing but their own.
-        let (slot, mean) = (transition.new_rows[0] as usize, sum.mean());
+        // What has gone leaves nothing, and new slots have nothing but their own.
+        let (slot, mean) = (transition.new_slots[0] as usize, sum.mean());
         assert_eq!(at_once.layers[layers - 1].direct[slot], mean.direct[slot].layer(layers - 1));
         let total: Vec<V> = old.total();
         assert_eq!(total.len(), before);

@@ -1,4 +1,4 @@
-//! ΔD: the change of light that arrives straight from lights, on elements that stay.
+//! ΔD: the change of light that arrives straight from lights, on unchanged elements.
 
 use glam::Vec3;
 
@@ -27,7 +27,7 @@ struct Pair<'a> {
 pub(super) struct DirectChange<'a> {
     transition: &'a Transition,
     pairs: Vec<Pair<'a>>,
-    /// Sphere around all geometry that came or went.
+    /// Sphere around all geometry that was inserted or removed.
     sphere: Option<(Vec3, f32)>,
 }
 
@@ -118,9 +118,9 @@ impl<'a> DirectChange<'a> {
             let Some(sample) = emitter.sample(point, n, sequence.get(k)) else { continue };
             let end = sample.end(point);
             let ray = Ray { origin: point, direction: sample.direction, t_min: 0.0, t_max: sample.distance - end };
-            let went = left(self.transition.gone.as_ref(), &ray, rays);
-            let came = if is_sky { went } else { left(self.transition.come.as_ref(), &ray, rays) };
-            let (before, after) = (pair.before * went, pair.after * came);
+            let removed = left(self.transition.removed.as_ref(), &ray, rays);
+            let inserted = if is_sky { removed } else { left(self.transition.inserted.as_ref(), &ray, rays) };
+            let (before, after) = (pair.before * removed, pair.after * inserted);
             if before == after {
                 continue;
             }

@@ -45,7 +45,7 @@ pub(super) struct Look<'a, V> {
     seen: Extents,
     /// Representatives that bounces are interpolated from, where they are seen.
     rows: Arc<Rows>,
-    new_rows: Vec<u32>,
+    new_slots: Vec<u32>,
     is_large: bool,
 }
 
@@ -81,14 +81,14 @@ impl<V: Value> Estimator<V> for Look<'_, V> {
 
     fn round(
         &self,
-        (Prior { guide, new_rows }, Known { parts, bounces }): &Self::Prior,
+        (Prior { guide, new_slots }, Known { parts, bounces }): &Self::Prior,
         round: &Round,
         out: &mut LightValues<V>,
     ) -> Result<(), Canceled> {
         let updater = self.updater;
         out.clone_from(parts);
-        updater.straight(round, &self.seen, &self.new_rows, &mut out.direct)?;
-        let rows = (&*self.new_rows, new_rows.as_deref());
+        updater.straight(round, &self.seen, &self.new_slots, &mut out.direct)?;
+        let rows = (&*self.new_slots, new_slots.as_deref());
         updater.arriving(round, &self.seen, rows, guide.spots.as_ref(), out)?;
         let (change, known) = (updater.change(out), Some((&self.rows, &**bounces)));
         let mut fresh = updater.propagate(change, round, &guide.aims, known, &self.seen.source.fine)?;
@@ -111,8 +111,8 @@ impl<V: Value> Updater<'_, V> {
             (None, Some(focus)) => self.look_first(focus, goal, work)?,
             (None, None) => (None, None),
         };
-        // The light of new rows was known roughly.
-        Ok((first, prior.map(|prior| Prior { new_rows: None, ..prior })))
+        // The light of new slots was known roughly.
+        Ok((first, prior.map(|prior| Prior { new_slots: None, ..prior })))
     }
 
     /// Brings what is looked at up to date; none where that is nothing.
@@ -123,7 +123,7 @@ impl<V: Value> Updater<'_, V> {
         }
         let look = self.look(is_seen);
         let rounds = goal.rounds(self.world, self.stage.weights, work, Phase::Part);
-        let old = (self.stage.old.stack(), &*self.static_rows);
+        let old = (self.stage.old.stack(), &*self.unchanged_slots);
         let (first, prior) = rounds.run_first(&look, &look.is_seen, Some(old), self.stage.finish)?;
         Ok((first, prior.map(|(prior, _)| prior)))
     }
@@ -132,16 +132,16 @@ impl<V: Value> Updater<'_, V> {
     pub(super) fn look(&self, is_seen: Vec<bool>) -> Look<'_, V> {
         let seen = |rows: &[u32]| -> Vec<u32> { rows.iter().copied().filter(|&slot| is_seen[slot as usize]).collect() };
         let (slots, is_near) = (self.world.slots(), self.source.is_near());
-        let (static_rows, new_rows) = (seen(&self.static_rows), seen(&self.transition.new_rows));
+        let (unchanged_slots, new_slots) = (seen(&self.unchanged_slots), seen(&self.transition.new_slots));
         let extents = Extents {
-            direct: Extent::only(&static_rows, &self.subset, slots, |_| true),
-            source: Extent::only(&static_rows, &self.subset, slots, is_near),
+            direct: Extent::only(&unchanged_slots, &self.subset, slots, |_| true),
+            source: Extent::only(&unchanged_slots, &self.subset, slots, is_near),
         };
-        let needed = self.subset.needed_by(&[static_rows, new_rows.clone()].concat(), slots);
+        let needed = self.subset.needed_by(&[unchanged_slots, new_slots.clone()].concat(), slots);
         let rows = Arc::new(Rows::only(&self.subset, |slot| needed[slot as usize]));
         let count = is_seen.iter().filter(|seen| **seen).count();
         let is_large = count as f64 > LARGE * self.world.element_count() as f64;
-        Look { updater: self, seen: extents, rows, new_rows, is_large, is_seen }
+        Look { updater: self, seen: extents, rows, new_slots, is_large, is_seen }
     }
 
     /// Everything at few samples, for all tiles.
@@ -159,7 +159,7 @@ impl<V: Value> Updater<'_, V> {
         let mut parts = LightValues::default();
         let (guide, bounces) = self.explore(&round, &self.extents(is_fine), &mut parts)?;
         let indirect = |&slot: &u32| parts.indirect[slot as usize] + bounces[slot as usize];
-        let new_rows = Some(self.transition.new_rows.iter().map(indirect).collect());
-        Ok((Prior { guide: Arc::new(guide), new_rows }, Known { parts, bounces: bounces.into() }))
+        let new_slots = Some(self.transition.new_slots.iter().map(indirect).collect());
+        Ok((Prior { guide: Arc::new(guide), new_slots }, Known { parts, bounces: bounces.into() }))
     }
 }

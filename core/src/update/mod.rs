@@ -2,9 +2,10 @@
 //! `L_B − L_A = (I − T_B)⁻¹ S` with `S = (E_B − E_A) + (T_B − T_A) L_A`.
 //!
 //! In terms of the stored `M = D + I` (direct and indirect irradiance / π) and the gather G:
-//! - new rows (elements of what came) are gathered from the old light, with the new direct light, to convergence;
-//! - `ΔD` on static rows is the change of direct light, `S` what their rays see of the objects and no more of what
-//!   lies behind them: `S = (G_B − G_A)[ρ M]`, along rays that meet what came or went;
+//! - new slots (elements of what was inserted) are gathered from the old light, with the new direct light, to
+//!   convergence;
+//! - `ΔD` on unchanged slots is the change of direct light, `S` what their rays see of the objects and no more of what
+//!   lies behind them: `S = (G_B − G_A)[ρ M]`, along rays that meet what was inserted or removed;
 //! - everything else is transport in the new scene: `X = Σ_k u_k`, `u_1 = G_B[ρ (S + ΔD) + Δρ M_A]`,
 //!   `u_{k+1} = G_B[ρ u_k]`, a contraction whatever the edit.
 
@@ -14,7 +15,7 @@ mod direct;
 mod extent;
 mod layers;
 mod look_first;
-mod new_rows;
+mod new_slots;
 mod places;
 mod propagate;
 mod source;

@@ -37,7 +37,7 @@ pub(super) struct Aims {
 pub(super) struct Change<'a, V> {
     /// ΔD + S, as elements see it that have an old value.
     seen_by_old: Vec<V>,
-    /// S alone: new rows have gathered ΔD and the repainted surfaces already.
+    /// S alone: new slots have gathered ΔD and the repainted surfaces already.
     seen_by_new: Vec<V>,
     is_new: Vec<bool>,
     /// Change of albedo per part, and the light that it reflects; none where nothing was repainted.
@@ -63,8 +63,8 @@ impl<V: Value> Change<'_, V> {
         }
     }
 
-    /// Near surfaces are looked up too: the change has no other estimate there. Its bounces are not. New rows have gone
-    /// on from near surfaces through the new scene when they were gathered.
+    /// Near surfaces are looked up too: the change has no other estimate there. Its bounces are not. New slots have
+    /// gone on from near surfaces through the new scene when they were gathered.
     #[inline]
     fn radiance(&self, bounces: Option<&[V]>, slot: u32, s: &Surfel, near: bool) -> V {
         let Some(footprint) = s.footprint else { return V::default() };
@@ -175,19 +175,19 @@ impl<V: Value> Updater<'_, V> {
         }
     }
 
-    /// What has changed, of changes on static rows and values on new rows.
+    /// What has changed, of changes on unchanged slots and values on new slots.
     pub(super) fn change(&self, LightValues { direct, indirect, .. }: &LightValues<V>) -> Change<'_, V> {
         let seen = |light: &(dyn Fn(usize) -> V + Sync)| -> Vec<V> {
             let mut seen = self.buffers.take();
-            let slots = self.is_static.par_iter().enumerate().with_min_len(CHUNK);
-            let light = |(slot, is_static): (usize, &bool)| if *is_static { light(slot) } else { V::default() };
+            let slots = self.is_unchanged.par_iter().enumerate().with_min_len(CHUNK);
+            let light = |(slot, is_unchanged): (usize, &bool)| if *is_unchanged { light(slot) } else { V::default() };
             slots.map(light).collect_into_vec(&mut seen);
             seen
         };
         let mut seen_by_old = seen(&|slot| direct[slot] + indirect[slot]);
         let mut seen_by_new = seen(&|slot| indirect[slot]);
         // Elements that were invalid had a value copied from neighbours, and S has looked that up.
-        for &slot in &self.transition.filled_rows {
+        for &slot in &self.transition.filled_slots {
             let slot = slot as usize;
             seen_by_old[slot] = direct[slot] + indirect[slot] - self.before_total[slot];
         }

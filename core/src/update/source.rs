@@ -1,5 +1,5 @@
-//! S: what rays of the elements that stay see of what came or went, less what they saw or see behind it. One ray serves
-//! both signs.
+//! S: what rays of the unchanged elements see of what was inserted or removed, less what they saw or see behind it. One
+//! ray serves both signs.
 
 use std::f32::consts::FRAC_1_PI;
 
@@ -156,37 +156,38 @@ impl<'a> Source<'a> {
     /// What changes along a ray; none where both worlds look the same.
     fn ray_change<V: Value>(&self, ray: &Ray, maps: &Maps<V>, rays: &mut u64) -> Option<RayChange<V>> {
         let t = self.transition;
-        let came = closest(t.come.as_ref(), ray, rays);
-        let went = closest(t.gone.as_ref(), ray, rays);
+        let inserted = closest(t.inserted.as_ref(), ray, rays);
+        let removed = closest(t.removed.as_ref(), ray, rays);
         let tint = |trees: Option<&Trees>, t: f32| trees.map_or(Vec3::ONE, |trees| trees.tint(ray, t));
-        let of_changed = |t_after, t_before| (tint(t.come.as_ref(), t_after), tint(t.gone.as_ref(), t_before));
-        if came.is_none() && went.is_none() && of_changed(f32::INFINITY, f32::INFINITY) == (Vec3::ONE, Vec3::ONE) {
+        let of_changed = |t_after, t_before| (tint(t.inserted.as_ref(), t_after), tint(t.removed.as_ref(), t_before));
+        if inserted.is_none() && removed.is_none() && of_changed(f32::INFINITY, f32::INFINITY) == (Vec3::ONE, Vec3::ONE)
+        {
             return None;
         }
         *rays += 1;
         let behind = t.common.closest_hit(ray);
         let distance = |h: &Option<Hit>| h.map_or(f32::INFINITY, |h| h.t);
-        let (came_t, went_t, behind_t) = (distance(&came), distance(&went), distance(&behind));
+        let (inserted_t, removed_t, behind_t) = (distance(&inserted), distance(&removed), distance(&behind));
         // How far light comes in each world, and what tinted surfaces on the way leave of it.
-        let (after_t, before_t) = (came_t.min(behind_t), went_t.min(behind_t));
+        let (after_t, before_t) = (inserted_t.min(behind_t), removed_t.min(behind_t));
         let (left_after, left_before) = of_changed(after_t, before_t);
-        if behind_t <= came_t && behind_t <= went_t && left_after == left_before {
+        if behind_t <= inserted_t && behind_t <= removed_t && left_after == left_before {
             return None;
         }
         let left_after = left_after * t.common.tint(ray, after_t);
         let left_before = left_before * t.common.tint(ray, before_t);
         // The static surface as it was, in both worlds: repainted surfaces are a source of their own.
         let unchanged = |hit: &Option<Hit>, rays: &mut u64| look(&t.before, ray, hit.as_ref(), maps.before, rays);
-        let after = if came_t < behind_t {
-            look(&t.after, ray, came.as_ref(), maps.after, rays)
+        let after = if inserted_t < behind_t {
+            look(&t.after, ray, inserted.as_ref(), maps.after, rays)
         } else {
             unchanged(&behind, rays)
         };
-        let before = if went_t < behind_t { unchanged(&went, rays) } else { unchanged(&behind, rays) };
+        let before = if removed_t < behind_t { unchanged(&removed, rays) } else { unchanged(&behind, rays) };
         let of_sky = t.after.emitters.sky::<V>(ray.direction);
         let sky = |hidden: bool, left: Vec3| if hidden { V::default() } else { of_sky * left };
         let free = behind.is_none();
-        let sky = sky(!free || came.is_some(), left_after) - sky(!free || went.is_some(), left_before);
+        let sky = sky(!free || inserted.is_some(), left_after) - sky(!free || removed.is_some(), left_before);
         // Cells are asked for where they are aimed at, and nowhere else.
         let cell = |hit: Hit| {
             let part = t.after.space.part(hit.triangle);
@@ -194,7 +195,7 @@ impl<'a> Source<'a> {
             (hit, t.after.space.spot(&hit, part, back).cell)
         };
         let seen = match maps.spots {
-            Some(_) => [came.filter(|_| came_t < behind_t), behind].map(|hit| hit.map(cell)),
+            Some(_) => [inserted.filter(|_| inserted_t < behind_t), behind].map(|hit| hit.map(cell)),
             None => [None; 2],
         };
         Some(RayChange { sky, reflected: after * left_after - before * left_before, seen })

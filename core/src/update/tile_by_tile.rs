@@ -91,10 +91,10 @@ impl<V: Value> Updater<'_, V> {
         self.know_roughly(&Round { samples: 1, earlier: 0, seed: goal.first_seed(), begin: &begin })
     }
 
-    /// What is shown before the first tile: old light, and on new rows, which have none, what is known roughly.
+    /// What is shown before the first tile: old light, and on new slots, which have none, what is known roughly.
     fn carried(&self, old: &Stack<V>, prior: &Prior<V>, known: &Known<V>) -> Stack<V> {
         let mut stack = old.clone();
-        for (&slot, indirect) in self.transition.new_rows.iter().zip(prior.new_rows.iter().flat_map(|rows| &**rows)) {
+        for (&slot, indirect) in self.transition.new_slots.iter().zip(prior.new_slots.iter().flat_map(|rows| &**rows)) {
             let slot = slot as usize;
             (stack.light.direct[slot], stack.light.indirect[slot]) = (known.parts.direct[slot], *indirect);
         }

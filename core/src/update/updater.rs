@@ -38,14 +38,14 @@ pub(super) struct Updater<'a, V> {
     pub(super) world: &'a World,
     pub(super) work: &'a Work<'a>,
     pub(super) stage: &'a Stage<'a>,
-    /// The sum of the old light, direct and indirect, in the new slots; black on new rows.
+    /// The sum of the old light, direct and indirect, in the new slots; black on new slots.
     pub(super) light: Vec<V>,
     /// direct + indirect of the map of `before`, in its slots.
     pub(super) before_total: Vec<V>,
     /// Computed elements that keep an old value.
-    pub(super) static_rows: Vec<u32>,
-    /// Whether a slot is among `static_rows`.
-    pub(super) is_static: Vec<bool>,
+    pub(super) unchanged_slots: Vec<u32>,
+    /// Whether a slot is among `unchanged_slots`.
+    pub(super) is_unchanged: Vec<bool>,
     pub(super) subset: Subset,
     pub(super) rows: Arc<Rows>,
     pub(super) source: source::Source<'a>,
@@ -61,8 +61,8 @@ pub(super) struct Updater<'a, V> {
 #[derive(Clone)]
 pub(super) struct Prior<V> {
     pub guide: Arc<Guide>,
-    /// Indirect light of all new rows, one after the other, once there is some.
-    pub new_rows: Option<Arc<[V]>>,
+    /// Indirect light of all new slots, one after the other, once there is some.
+    pub new_slots: Option<Arc<[V]>>,
 }
 
 /// Where light and change were found first.
@@ -78,14 +78,14 @@ impl<'a, V: Value> Updater<'a, V> {
         let transition = stage.transition;
         let world = &transition.after;
         let mut is_new = vec![false; world.slots()];
-        transition.new_rows.iter().for_each(|&slot| is_new[slot as usize] = true);
-        let static_rows: Vec<u32> = world.computed_slots().into_iter().filter(|&i| !is_new[i as usize]).collect();
-        let mut is_static = vec![false; world.slots()];
-        static_rows.iter().for_each(|&slot| is_static[slot as usize] = true);
+        transition.new_slots.iter().for_each(|&slot| is_new[slot as usize] = true);
+        let unchanged_slots: Vec<u32> = world.computed_slots().into_iter().filter(|&i| !is_new[i as usize]).collect();
+        let mut is_unchanged = vec![false; world.slots()];
+        unchanged_slots.iter().for_each(|&slot| is_unchanged[slot as usize] = true);
         let subset = Subset::new(world);
         let before_total = stage.old.total();
         let mut light: Vec<V> = transition.carry(&before_total);
-        transition.new_rows.iter().for_each(|&slot| light[slot as usize] = V::default());
+        transition.new_slots.iter().for_each(|&slot| light[slot as usize] = V::default());
         Updater {
             transition,
             world,
@@ -95,8 +95,8 @@ impl<'a, V: Value> Updater<'a, V> {
             before_total,
             rows: Arc::new(Rows::all(&subset)),
             source: source::Source::new(transition),
-            static_rows,
-            is_static,
+            unchanged_slots,
+            is_unchanged,
             subset,
             direct: direct::DirectChange::new(transition),
             repaint: transition.repaints_anything().then(|| transition.repaint()),
@@ -115,7 +115,7 @@ impl<'a, V: Value> Updater<'a, V> {
     }
 
     fn mean_of(&self, value: impl Fn(usize) -> f32) -> f64 {
-        self.world.area_mean(self.static_rows.iter().map(|&slot| slot as usize), |slot| f64::from(value(slot)))
+        self.world.area_mean(self.unchanged_slots.iter().map(|&slot| slot as usize), |slot| f64::from(value(slot)))
     }
 
     /// Element by element where `is_wanted` says so, and S only near the edit; elsewhere on the subset.
@@ -123,14 +123,14 @@ impl<'a, V: Value> Updater<'a, V> {
         let is_near = self.source.is_near();
         let slots = self.world.slots();
         Extents {
-            direct: Extent::new(&self.static_rows, &self.subset, slots, &is_wanted),
-            source: Extent::new(&self.static_rows, &self.subset, slots, |slot| is_wanted(slot) && is_near(slot)),
+            direct: Extent::new(&self.unchanged_slots, &self.subset, slots, &is_wanted),
+            source: Extent::new(&self.unchanged_slots, &self.subset, slots, |slot| is_wanted(slot) && is_near(slot)),
         }
     }
 
     /// The mean of what was done first and what followed, by samples.
     pub(super) fn merged(&self, first: &First<V>, sum: &Accumulator<V>) -> Stack<V> {
-        let rows = self.static_rows.iter().chain(&self.transition.new_rows).copied();
+        let rows = self.unchanged_slots.iter().chain(&self.transition.new_slots).copied();
         first.merged(sum, rows, &self.world.validity)
     }
 
@@ -144,7 +144,7 @@ impl<'a, V: Value> Updater<'a, V> {
         let (guide, bounces) = self.explore(round, extents, out)?;
         out.add_indirect(&bounces);
         self.buffers.give(bounces);
-        Ok(Prior { guide: Arc::new(guide), new_rows: None })
+        Ok(Prior { guide: Arc::new(guide), new_slots: None })
     }
 
     /// What light arrives before any bounce, and its bounces, where nothing is known yet. What is found tells where to
@@ -155,11 +155,11 @@ impl<'a, V: Value> Updater<'a, V> {
         extents: &Extents,
         out: &mut LightValues<V>,
     ) -> Result<(Guide, Vec<V>), Canceled> {
-        let new_rows = &self.transition.new_rows;
+        let new_slots = &self.transition.new_slots;
         out.blacken(self.world.slots());
-        self.straight(round, extents, new_rows, &mut out.direct)?;
+        self.straight(round, extents, new_slots, &mut out.direct)?;
         let spots = self.spots(&out.direct);
-        self.arriving(round, extents, (new_rows, None), spots.as_ref(), out)?;
+        self.arriving(round, extents, (new_slots, None), spots.as_ref(), out)?;
         let change = self.change(out);
         let aims = self.aims(&change);
         let bounces = self.propagate(change, round, &aims, None, &[])?;
@@ -169,61 +169,61 @@ impl<'a, V: Value> Updater<'a, V> {
     /// What the next round goes by.
     pub(super) fn prior(&self, last: Prior<V>, sum: &Accumulator<V>) -> Prior<V> {
         let indirect = &sum.mean().indirect;
-        let new_rows = self.transition.new_rows.iter().map(|&slot| indirect[slot as usize]);
-        Prior { new_rows: Some(new_rows.collect()), ..last }
+        let new_slots = self.transition.new_slots.iter().map(|&slot| indirect[slot as usize]);
+        Prior { new_slots: Some(new_slots.collect()), ..last }
     }
 
-    /// One independent estimate: changes on static rows, values on new rows.
+    /// One independent estimate: changes on unchanged slots, values on new slots.
     pub(super) fn round(
         &self,
-        Prior { guide, new_rows }: &Prior<V>,
+        Prior { guide, new_slots }: &Prior<V>,
         round: &Round,
         extents: &Extents,
         out: &mut LightValues<V>,
     ) -> Result<(), Canceled> {
-        let rows = &self.transition.new_rows;
+        let rows = &self.transition.new_slots;
         out.blacken(self.world.slots());
         self.straight(round, extents, rows, &mut out.direct)?;
-        self.arriving(round, extents, (rows, new_rows.as_deref()), guide.spots.as_ref(), out)?;
+        self.arriving(round, extents, (rows, new_slots.as_deref()), guide.spots.as_ref(), out)?;
         let bounces = self.propagate(self.change(out), round, &guide.aims, None, &extents.source.fine)?;
         out.add_indirect(&bounces);
         self.buffers.give(bounces);
         Ok(())
     }
 
-    /// Light straight from lights: ΔD on the static rows of `extents`, all of it on some new rows.
+    /// Light straight from lights: ΔD on the unchanged slots of `extents`, all of it on some new slots.
     pub(super) fn straight(
         &self,
         round: &Round,
         extents: &Extents,
-        new_rows: &[u32],
+        new_slots: &[u32],
         direct: &mut [V],
     ) -> Result<(), Canceled> {
         (round.begin)(Pass::Direct, 0.0);
         self.direct.estimate(&extents.direct, &self.subset, round.samples, round.seed, self.work, direct)?;
-        self.direct_of_new_rows(round, new_rows, direct)
+        self.direct_of_new_slots(round, new_slots, direct)
     }
 
-    /// What changes before any bounce beside direct light: S on the static rows of `extents`, the indirect light of some
-    /// new rows, with what is known of that of all. `parts`, changes on static rows and values on new rows, holds direct
-    /// light and what is known elsewhere; `spots` is where to aim.
+    /// What changes before any bounce beside direct light: S on the unchanged slots of `extents`, the indirect light of
+    /// some new slots, with what is known of that of all. `parts`, changes on unchanged slots and values on new slots,
+    /// holds direct light and what is known elsewhere; `spots` is where to aim.
     pub(super) fn arriving(
         &self,
         round: &Round,
         extents: &Extents,
-        (new_rows, known): (&[u32], Option<&[V]>),
+        (new_slots, known): (&[u32], Option<&[V]>),
         spots: Option<&Spots>,
         parts: &mut LightValues<V>,
     ) -> Result<(), Canceled> {
         let (world, work) = (self.world, self.work);
         let LightValues { direct, indirect, .. } = parts;
         (round.begin)(Pass::Object, 0.2);
-        self.new_rows(round, new_rows, known, spots, direct, indirect)?;
+        self.new_slots(round, new_slots, known, spots, direct, indirect)?;
 
         (round.begin)(Pass::Source, 0.4);
         let mut light = self.buffers.take();
         light.clone_from(&self.light);
-        for &slot in &self.transition.new_rows {
+        for &slot in &self.transition.new_slots {
             light[slot as usize] = direct[slot as usize] + indirect[slot as usize];
         }
         world.validity.fill(&mut light);
@@ -235,7 +235,7 @@ impl<'a, V: Value> Updater<'a, V> {
 
     /// Where to aim at light that is not to be missed, once direct light is known.
     fn spots(&self, direct: &[V]) -> Option<Spots> {
-        let mut light = match self.transition.new_rows.is_empty() {
+        let mut light = match self.transition.new_slots.is_empty() {
             true => self.light.clone(),
             false => self.with_direct(direct),
         };
@@ -245,20 +245,20 @@ impl<'a, V: Value> Updater<'a, V> {
         spots
     }
 
-    /// Old light with changed direct light on the elements that stay, direct light alone on new rows.
+    /// Old light with changed direct light on the unchanged elements, direct light alone on new slots.
     pub(super) fn with_direct(&self, direct: &[V]) -> Vec<V> {
         let mut field = self.buffers.take();
         self.light.par_iter().zip(direct).with_min_len(CHUNK).map(|(t, d)| *t + *d).collect_into_vec(&mut field);
-        self.transition.new_rows.iter().for_each(|&slot| field[slot as usize] = direct[slot as usize]);
+        self.transition.new_slots.iter().for_each(|&slot| field[slot as usize] = direct[slot as usize]);
         field
     }
 
     /// Whether the change is so large beside the light that is left that a bake is the better update:
-    /// what the subset gets wrong of it would show. The new rows' own light is no change.
+    /// what the subset gets wrong of it would show. The new slots' own light is no change.
     pub(super) fn outgrows_the_light(&self, LightValues { direct, indirect, .. }: &LightValues<V>) -> bool {
         let (areas, guides, light) = (self.world.areas(), self.stage.guides, &self.light);
         let (mut change, mut left) = (0.0f64, 0.0f64);
-        for &slot in &self.static_rows {
+        for &slot in &self.unchanged_slots {
             let slot = slot as usize;
             let delta = (direct[slot] + indirect[slot]).weighted(guides);
             let then = self.stage.around.map_or_else(|| light[slot].weighted(guides), |a| a[slot]) + delta;
@@ -270,7 +270,7 @@ impl<'a, V: Value> Updater<'a, V> {
 
     pub(super) fn new_flags(&self) -> Vec<bool> {
         let mut flags = vec![false; self.world.slots()];
-        self.transition.new_rows.iter().for_each(|&slot| flags[slot as usize] = true);
+        self.transition.new_slots.iter().for_each(|&slot| flags[slot as usize] = true);
         flags
     }
 

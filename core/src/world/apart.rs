@@ -41,8 +41,8 @@ impl World {
         self.emitters.sky(direction)
     }
 
-    /// Index of an emitter of [`World::lights`] for a surface with unit normal `n`, and the probability of that choice; none
-    /// where no light can come there. `u` is uniform.
+    /// Index of an emitter of [`World::lights`] for a surface with unit normal `n`, and the probability of that choice;
+    /// none where no light can come there. `u` is uniform.
     #[inline]
     pub fn choose_light(&self, point: Vec3, n: Vec3, u: f32) -> Option<(usize, f32)> {
         self.emitters.choose(point, n, u)
@@ -77,7 +77,7 @@ impl World {
     /// The objects with these keys alone, and everything without them.
     pub fn apart(&self, keys: &BTreeSet<u32>) -> (Trees, Trees) {
         let (mut corners, mut ids) = (Vec::new(), Vec::new());
-        let mut mask = self.trees.gone.as_deref().cloned().unwrap_or_default();
+        let mut mask = self.trees.removed.as_deref().cloned().unwrap_or_default();
         for placed in self.placed.iter().filter(|placed| keys.contains(&placed.key)) {
             corners.extend(placed.surface.all_corners());
             ids.extend(placed.placement.faces.clone());
@@ -87,7 +87,7 @@ impl World {
         }
         let mut without = self.trees.clone();
         without.small.retain(|(key, _)| !keys.contains(key));
-        without.gone = Some(Arc::new(mask));
+        without.removed = Some(Arc::new(mask));
         let alone = Bvh::build(&corners, &ids, BuildQuality::Good);
         (Trees::of(alone, self.trees.openings.clone(), 0), without)
     }
@@ -95,8 +95,8 @@ impl World {
 
 impl Emitter {
     /// What a ray finds of a light that it met at triangle `face` of the light's surface: radiance, linear RGB, and the
-    /// density per solid angle with which [`Emitter::sample`] finds that place from the ray's origin. None where it does
-    /// not shine there, or not to that side.
+    /// density per solid angle with which [`Emitter::sample`] finds that place from the ray's origin. None where it
+    /// does not shine there, or not to that side.
     #[inline]
     pub fn found(&self, ray: &Ray, hit: &Hit, face: u32) -> Option<(Vec3, f32)> {
         let Shape::Surface { triangles, double_sided, .. } = &self.shape else { return None };

@@ -49,16 +49,22 @@ pub(super) struct Draft {
     /// What names and strengths may be.
     pub(super) allowed: Allowed,
     /// Objects of the old world whose geometry is there no more, as they were.
-    pub(super) gone: BTreeMap<u32, Arc<Placed>>,
+    pub(super) removed: BTreeMap<u32, Arc<Placed>>,
     /// Keys of objects whose geometry is new.
-    pub(super) come: BTreeSet<u32>,
+    pub(super) inserted: BTreeSet<u32>,
     /// Where geometry changed, scene space.
     pub(super) touched: Vec<(Vec3, Vec3)>,
 }
 
 impl Draft {
     fn new(world: &World, allowed: Allowed) -> Draft {
-        Draft { world: world.clone(), allowed, gone: BTreeMap::new(), come: BTreeSet::new(), touched: Vec::new() }
+        Draft {
+            world: world.clone(),
+            allowed,
+            removed: BTreeMap::new(),
+            inserted: BTreeSet::new(),
+            touched: Vec::new(),
+        }
     }
 
     /// The scene, to be changed.

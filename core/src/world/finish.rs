@@ -22,7 +22,7 @@ impl Draft {
         let names: BTreeSet<&str> = scene.lights.iter().map(|light| light.name.as_str()).collect();
         scene.groups.retain(|light, _| names.contains(light.as_str()));
         // An object that came and went within the request leaves a trace in `touched` only, which is harmless.
-        let changed = !self.gone.is_empty() || !self.come.is_empty();
+        let changed = !self.removed.is_empty() || !self.inserted.is_empty();
         let common = self.world.trees.clone();
         self.world.emitters = Arc::new(self.world.resolve_emitters());
         if changed {
@@ -32,33 +32,33 @@ impl Draft {
             // Slots that an object had while it was there.
             self.world.space.take_geometry(&before.space);
         }
-        let Draft { mut world, gone, come, touched, .. } = self;
+        let Draft { mut world, removed, inserted, touched, .. } = self;
         let mut ranges = Vec::new();
         if changed {
-            let placed = world.placed.iter().filter(|p| come.contains(&p.key));
+            let placed = world.placed.iter().filter(|p| inserted.contains(&p.key));
             ranges = placed.map(|p| p.placement.elements.clone()).collect();
             let grown: Vec<(Vec3, Vec3)> = touched
                 .iter()
                 .map(|(l, h)| (*l - Vec3::splat(world.spacing()), *h + Vec3::splat(world.spacing())))
                 .collect();
             world.validity = Arc::new(Validity::updated(&before.validity, &world, &ranges, &grown));
-            world.look_around(Some(&grown), |placed| come.contains(&placed.key));
-            world.find_behind(Some(&grown), |placed| come.contains(&placed.key));
+            world.look_around(Some(&grown), |placed| inserted.contains(&placed.key));
+            world.find_behind(Some(&grown), |placed| inserted.contains(&placed.key));
             world.atlas = next_atlas(&world)?;
         }
-        let come_trees = world.placed.iter().filter(|p| come.contains(&p.key));
-        let come_tree = merged_tree(come_trees.map(|p| &**p), &world.trees.openings);
-        let gone_tree = merged_tree(gone.values().map(|p| &**p), &before.trees.openings);
-        let new_rows = new_rows(before, &world, &ranges);
-        let came = |slot: &u32| ranges.iter().any(|r| r.contains(slot));
-        let filled_rows = new_rows.iter().copied().filter(|slot| !came(slot)).collect();
+        let inserted_trees = world.placed.iter().filter(|p| inserted.contains(&p.key));
+        let inserted_tree = merged_tree(inserted_trees.map(|p| &**p), &world.trees.openings);
+        let removed_tree = merged_tree(removed.values().map(|p| &**p), &before.trees.openings);
+        let new_slots = new_slots(before, &world, &ranges);
+        let inserted = |slot: &u32| ranges.iter().any(|r| r.contains(slot));
+        let filled_slots = new_slots.iter().copied().filter(|slot| !inserted(slot)).collect();
         Ok(Transition {
             before: before.clone(),
             common,
-            gone: gone_tree,
-            come: come_tree,
-            new_rows,
-            filled_rows,
+            removed: removed_tree,
+            inserted: inserted_tree,
+            new_slots,
+            filled_slots,
             after: world,
         })
     }
@@ -67,7 +67,7 @@ impl Draft {
     fn build_small_trees(&mut self) {
         self.world.trees.generation += 1;
         self.note_openings();
-        for placed in self.world.placed.iter().filter(|p| self.come.contains(&p.key)) {
+        for placed in self.world.placed.iter().filter(|p| self.inserted.contains(&p.key)) {
             self.world.trees.small.push((placed.key, build::small_tree(placed)));
         }
     }
@@ -75,7 +75,7 @@ impl Draft {
     /// Backs and solidity of what came, now that it can be asked with rays.
     fn finish_new_objects(&mut self) -> Result<(), EditError> {
         let indices: Vec<usize> =
-            (0..self.world.placed.len()).filter(|&i| self.come.contains(&self.world.placed[i].key)).collect();
+            (0..self.world.placed.len()).filter(|&i| self.inserted.contains(&self.world.placed[i].key)).collect();
         for index in indices {
             let placed = Arc::clone(&self.world.placed[index]);
             if !placed.with_back && probe::back_seen(&self.world, index) {
@@ -119,16 +119,16 @@ fn merged_tree<'a>(objects: impl Iterator<Item = &'a Placed>, openings: &Option<
 }
 
 /// Rows that get their first value: of objects that came, and of elements that were invalid. Ascending.
-fn new_rows(before: &World, after: &World, ranges: &[Range<u32>]) -> Vec<u32> {
+fn new_slots(before: &World, after: &World, ranges: &[Range<u32>]) -> Vec<u32> {
     let is_computed = |slot: u32| after.areas()[slot as usize] > 0.0 && after.validity.is_valid(slot as usize);
     let is_of_new = |slot: u32| ranges.iter().any(|range| range.contains(&slot));
-    let came = ranges.iter().cloned().flatten();
-    let came_out = before.validity.invalid_of(&(0..u32::MAX)).iter().copied().filter(|&slot| {
+    let inserted = ranges.iter().cloned().flatten();
+    let uncovered = before.validity.invalid_of(&(0..u32::MAX)).iter().copied().filter(|&slot| {
         let owners =
             [&before.space.slots().owners, &after.space.slots().owners].map(|owners| owners.get(slot as usize));
         owners[0] == owners[1] && !is_of_new(slot)
     });
-    let mut rows: Vec<u32> = came.chain(came_out).filter(|&slot| is_computed(slot)).collect();
+    let mut rows: Vec<u32> = inserted.chain(uncovered).filter(|&slot| is_computed(slot)).collect();
     rows.sort_unstable();
     rows
 }

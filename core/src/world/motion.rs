@@ -119,7 +119,7 @@ mod tests {
         let lit = crate::update(&transition, &map, &budget, None, 1, &Quiet).unwrap();
         assert_eq!(lit.len(), transition.after.slots());
         let light = |slot: usize| (lit.total(slot) - Vec3::ONE).abs().max_element();
-        assert!(transition.new_rows.iter().all(|&slot| light(slot as usize) < 1e-5), "{:?}", lit.total(0));
+        assert!(transition.new_slots.iter().all(|&slot| light(slot as usize) < 1e-5), "{:?}", lit.total(0));
     }
 
     #[test]

@@ -24,7 +24,7 @@ impl Draft {
         self.touched.push(placed.surface.bounds());
         self.scene_mut().objects.push(object);
         self.world.placed.push(Arc::new(placed));
-        self.come.insert(key);
+        self.inserted.insert(key);
         Ok(())
     }
 
@@ -46,16 +46,16 @@ impl Draft {
     /// Notes that an object's present geometry goes, and takes it out of the trees.
     fn take_out(&mut self, placed: &Arc<Placed>) {
         self.touched.push(placed.surface.bounds());
-        if !self.come.remove(&placed.key) {
-            self.gone.entry(placed.key).or_insert_with(|| Arc::clone(placed));
+        if !self.inserted.remove(&placed.key) {
+            self.removed.entry(placed.key).or_insert_with(|| Arc::clone(placed));
         }
         let trees = &mut self.world.trees;
         let small = trees.small.len();
         trees.small.retain(|(key, _)| *key != placed.key);
         if trees.small.len() == small {
-            let mut mask = trees.gone.as_deref().cloned().unwrap_or_default();
+            let mut mask = trees.removed.as_deref().cloned().unwrap_or_default();
             placed.placement.faces.clone().for_each(|id| mask.set(id, true));
-            trees.gone = Some(Arc::new(mask));
+            trees.removed = Some(Arc::new(mask));
         }
     }
 
@@ -80,7 +80,7 @@ impl Draft {
         self.world.space.write(&old.placement, &elements, old.with_back);
         self.take_out(&old);
         self.touched.push(surface.bounds());
-        self.come.insert(old.key);
+        self.inserted.insert(old.key);
         let placed = Placed {
             key: old.key,
             surface,
@@ -106,8 +106,8 @@ impl Draft {
         all.for_each(|light| *light = transformed_light(light.clone(), step));
     }
 
-    /// An object leaves its slots and another comes in new ones. In the list it stays where it was, and what hangs on it
-    /// stays there, too.
+    /// An object leaves its slots and another comes in new ones. In the list it stays where it was, and what hangs on
+    /// it stays there, too.
     pub(super) fn replace_object(&mut self, index: usize, object: Arc<Object>) -> Result<(), EditError> {
         let lights = Lights::of(&self.world.scene);
         self.remove_object(index);

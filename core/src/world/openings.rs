@@ -1,9 +1,9 @@
 //! Rays and what lets light through: which triangle slots do, and what a ray makes of them.
 //!
-//! Where part of the light goes through a place, a ray that looks for a surface meets it by chance, as often as the place is
-//! opaque: the mean is right, and one ray is still one ray. The chance is a function of the ray and the distance alone, so
-//! that the same ray has the same fate in every tree and on every machine. Rays that ask how much of a light arrives need no
-//! chance: they multiply what all places on the way let through.
+//! Where part of the light goes through a place, a ray that looks for a surface meets it by chance, as often as the
+//! place is opaque: the mean is right, and one ray is still one ray. The chance is a function of the ray and the
+//! distance alone, so that the same ray has the same fate in every tree and on every machine. Rays that ask how much of
+//! a light arrives need no chance: they multiply what all places on the way let through.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -184,14 +184,14 @@ impl Filter for Left<'_> {
 
 /// Another filter, of a tree some of whose triangles are gone.
 pub(super) struct Among<'a, F> {
-    pub(super) gone: Option<&'a TriangleMask>,
+    pub(super) removed: Option<&'a TriangleMask>,
     pub(super) filter: &'a mut F,
 }
 
 impl<F: Filter> Filter for Among<'_, F> {
     #[inline]
     fn passes(&mut self, id: u32, t: f32, place: impl FnOnce() -> [f32; 2]) -> bool {
-        self.gone.is_some_and(|gone| gone.get(id)) || self.filter.passes(id, t, place)
+        self.removed.is_some_and(|removed| removed.get(id)) || self.filter.passes(id, t, place)
     }
 }
 

@@ -215,7 +215,7 @@ mod tests {
             world = transition.after;
             assert_eq!(world.validity.behind(), behind);
             assert!(behind.iter().all(|&slot| !world.is_valid(slot as usize)), "they are computed now");
-            assert!(behind.iter().all(|slot| !transition.filled_rows.contains(slot)));
+            assert!(behind.iter().all(|slot| !transition.filled_slots.contains(slot)));
         }
     }
 }

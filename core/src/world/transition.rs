@@ -23,23 +23,23 @@ pub struct Transition {
     /// What stands in both worlds.
     pub(crate) common: Trees,
     /// What stood only in `before`; ids are triangle slots of `before`.
-    pub(crate) gone: Option<Trees>,
+    pub(crate) removed: Option<Trees>,
     /// What stands only in `after`; ids are triangle slots of `after`.
-    pub(crate) come: Option<Trees>,
+    pub(crate) inserted: Option<Trees>,
     /// Elements without an old value that is worth anything: of inserted and moved objects, and those that were invalid
     /// (inside a solid or behind a surface) and are so no more. Valid ones only, ascending.
-    pub(crate) new_rows: Vec<u32>,
+    pub(crate) new_slots: Vec<u32>,
     /// Those of them that belong to unchanged objects: they had values copied from neighbours.
-    pub(crate) filled_rows: Vec<u32>,
+    pub(crate) filled_slots: Vec<u32>,
 }
 
 impl std::fmt::Debug for Transition {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Transition")
             .field("slots", &(self.before.slots(), self.after.slots()))
-            .field("gone", &self.gone.as_ref().map(|t| t.triangle_count()))
-            .field("come", &self.come.as_ref().map(|t| t.triangle_count()))
-            .field("new_rows", &self.new_rows.len())
+            .field("removed", &self.removed.as_ref().map(|t| t.triangle_count()))
+            .field("inserted", &self.inserted.as_ref().map(|t| t.triangle_count()))
+            .field("new_slots", &self.new_slots.len())
             .finish_non_exhaustive()
     }
 }
@@ -60,14 +60,14 @@ impl Transition {
         LightMap { light: carry(&map.light), layers }
     }
 
-    /// The map of [`Transition::carry_over`]: the old one itself where every slot keeps its element, as by edits of lights and
-    /// albedos.
+    /// The map of [`Transition::carry_over`]: the old one itself where every slot keeps its element, as by edits of
+    /// lights and albedos.
     pub fn carried(&self, map: &Arc<LightMap>) -> Arc<LightMap> {
         if self.keeps_slots() { Arc::clone(map) } else { Arc::new(self.carry_over(map)) }
     }
 
-    /// Slots of the new world whose elements get no light of their own by [`Transition::carry_over`]: those of objects that
-    /// came or moved, and those that came out of solids. In no order, some more than once.
+    /// Slots of the new world whose elements get no light of their own by [`Transition::carry_over`]: those of objects
+    /// that came or moved, and those that came out of solids. In no order, some more than once.
     pub fn slots_without_light(&self) -> Vec<u32> {
         let known: BTreeMap<u32, &Arc<Placed>> = self.before.placed.iter().map(|p| (p.key, p)).collect();
         let stays = |p: &&Arc<Placed>| {
@@ -76,8 +76,8 @@ impl Transition {
                 Arc::ptr_eq(&old.surface, &p.surface) && old.placement.elements == p.placement.elements
             })
         };
-        let came = self.after.placed.iter().filter(|p| !stays(p)).flat_map(|p| p.placement.elements.clone());
-        self.new_rows.iter().copied().chain(came).collect()
+        let inserted = self.after.placed.iter().filter(|p| !stays(p)).flat_map(|p| p.placement.elements.clone());
+        self.new_slots.iter().copied().chain(inserted).collect()
     }
 
     /// Whether every slot holds the same element in both worlds.
@@ -128,8 +128,8 @@ impl Transition {
             (0..these.len()).filter(differs).collect()
         };
         let (before, after) = (&self.before.placed, &self.after.placed);
-        let gone = only(before, after).into_iter().map(|i| &*before[i]);
-        gone.chain(only(after, before).into_iter().map(|i| &*after[i])).collect()
+        let removed = only(before, after).into_iter().map(|i| &*before[i]);
+        removed.chain(only(after, before).into_iter().map(|i| &*after[i])).collect()
     }
 
     /// Change of albedo per part of the new world.
@@ -149,11 +149,11 @@ impl Transition {
 
     /// Whether surfaces changed, their places or their albedos, and not only lights.
     pub(crate) fn changes_surfaces(&self) -> bool {
-        self.moves_geometry() || !self.new_rows.is_empty() || self.repaints_anything()
+        self.moves_geometry() || !self.new_slots.is_empty() || self.repaints_anything()
     }
 
     /// Whether geometry changed (and not only light or albedo).
     pub fn moves_geometry(&self) -> bool {
-        self.gone.is_some() || self.come.is_some()
+        self.removed.is_some() || self.inserted.is_some()
     }
 }

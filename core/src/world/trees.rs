@@ -15,7 +15,7 @@ pub struct Trees {
     /// Over everything that stood when it was built.
     pub(crate) big: Arc<Bvh>,
     /// Triangles of `big` that are gone or have moved into a small tree.
-    pub(crate) gone: Option<Arc<TriangleMask>>,
+    pub(crate) removed: Option<Arc<TriangleMask>>,
     /// Objects edited since, by key.
     pub(crate) small: Vec<(u32, Arc<Bvh>)>,
     /// What lets light through; none where everything is opaque.
@@ -27,11 +27,11 @@ pub struct Trees {
 impl Trees {
     /// One tree.
     pub(crate) fn of(big: Bvh, openings: Option<Arc<Openings>>, generation: u64) -> Trees {
-        Trees { big: Arc::new(big), gone: None, small: Vec::new(), openings, generation }
+        Trees { big: Arc::new(big), removed: None, small: Vec::new(), openings, generation }
     }
 
-    /// The closest hit in any tree of what light meets there. What lets light through is met by chance: as often as it is
-    /// opaque. See [`Trees::first_hit`] for what is left of the light then.
+    /// The closest hit in any tree of what light meets there. What lets light through is met by chance: as often as it
+    /// is opaque. See [`Trees::first_hit`] for what is left of the light then.
     #[inline(always)]
     pub fn closest_hit(&self, ray: &Ray) -> Option<Hit> {
         match &self.openings {
@@ -113,8 +113,8 @@ impl Trees {
         if self.any_of(ray, &mut left) { Vec3::ZERO } else { left.light }
     }
 
-    /// What is left of light between two points. `from` has been moved off its surface already; the segment ends `epsilon`
-    /// metres short of the other.
+    /// What is left of light between two points. `from` has been moved off its surface already; the segment ends
+    /// `epsilon` metres short of the other.
     #[inline]
     pub(crate) fn transmittance_between(&self, from: Vec3, direction: Vec3, distance: f32, epsilon: f32) -> Vec3 {
         let t_max = distance - epsilon;
@@ -124,7 +124,7 @@ impl Trees {
 
     #[inline(always)]
     fn closest_of_all(&self, ray: &Ray) -> Option<Hit> {
-        let mut best = self.big.closest_hit(ray, self.gone.as_deref());
+        let mut best = self.big.closest_hit(ray, self.removed.as_deref());
         for (_, tree) in &self.small {
             let clipped = Ray { t_max: best.map_or(ray.t_max, |h| h.t), ..*ray };
             if let Some(hit) = tree.closest_hit(&clipped, None) {
@@ -136,12 +136,12 @@ impl Trees {
 
     #[inline(always)]
     fn any_of_all(&self, ray: &Ray) -> bool {
-        self.small.iter().any(|(_, tree)| tree.any_hit(ray, None)) || self.big.any_hit(ray, self.gone.as_deref())
+        self.small.iter().any(|(_, tree)| tree.any_hit(ray, None)) || self.big.any_hit(ray, self.removed.as_deref())
     }
 
     #[inline(never)]
     fn closest_of(&self, ray: &Ray, filter: &mut impl Filter) -> Option<Hit> {
-        let mut best = self.big.closest_hit_of(ray, &mut Among { gone: self.gone.as_deref(), filter });
+        let mut best = self.big.closest_hit_of(ray, &mut Among { removed: self.removed.as_deref(), filter });
         for (_, tree) in &self.small {
             let clipped = Ray { t_max: best.map_or(ray.t_max, |h| h.t), ..*ray };
             if let Some(hit) = tree.closest_hit_of(&clipped, filter) {
@@ -154,7 +154,7 @@ impl Trees {
     #[inline(never)]
     fn any_of(&self, ray: &Ray, filter: &mut impl Filter) -> bool {
         self.small.iter().any(|(_, tree)| tree.any_hit_of(ray, filter))
-            || self.big.any_hit_of(ray, &mut Among { gone: self.gone.as_deref(), filter })
+            || self.big.any_hit_of(ray, &mut Among { removed: self.removed.as_deref(), filter })
     }
 
     /// Triangles in all trees, those that are gone included.

@@ -11,24 +11,24 @@ use crate::transport::direct::direct_of;
 use crate::transport::{Effort, Field, Rough, Spots, gather};
 use crate::value::Value;
 
-/// Samples of new rows per sample of the others: they have no old map to lean on.
+/// Samples of new slots per sample of the others: they have no old map to lean on.
 const NEW_ROW_SAMPLES: u32 = 4;
 
-/// Samples of the solve among the new rows themselves.
+/// Samples of the solve among the new slots themselves.
 const SELF_SAMPLES: u32 = 32;
 
 impl<V: Value> Updater<'_, V> {
-    /// Direct light of new rows, written over their slots.
-    pub(super) fn direct_of_new_rows(&self, round: &Round, rows: &[u32], direct: &mut [V]) -> Result<(), Canceled> {
+    /// Direct light of new slots, written over their slots.
+    pub(super) fn direct_of_new_slots(&self, round: &Round, rows: &[u32], direct: &mut [V]) -> Result<(), Canceled> {
         let (samples, seed) = (round.samples * NEW_ROW_SAMPLES, subseed(round.seed, 0xd0));
         let found: Vec<V> = direct_of(self.world, rows, samples, &Effort::default(), seed, self.work)?;
         rows.iter().zip(found).for_each(|(&slot, light)| direct[slot as usize] = light);
         Ok(())
     }
 
-    /// Indirect light of new rows, written over their slots. `direct` holds ΔD of the static rows, and direct light of all
-    /// new rows; `known` is the indirect light of all new rows, where there is any yet.
-    pub(super) fn new_rows(
+    /// Indirect light of new slots, written over their slots. `direct` holds ΔD of the unchanged slots, and direct
+    /// light of all new slots; `known` is the indirect light of all new slots, where there is any yet.
+    pub(super) fn new_slots(
         &self,
         round: &Round,
         rows: &[u32],
@@ -42,13 +42,13 @@ impl<V: Value> Updater<'_, V> {
         }
         let (world, work) = (self.world, self.work);
         let (samples, nominal) = (round.samples * NEW_ROW_SAMPLES, Effort::default());
-        // What they see of the elements that stay: old light, changed direct light.
+        // What they see of the unchanged elements: old light, changed direct light.
         let mut field = self.with_direct(direct);
         world.validity.fill(&mut field);
         match known {
             None => self.self_passes(round.seed, direct, spots, &mut field)?,
             Some(known) => {
-                let all = &self.transition.new_rows;
+                let all = &self.transition.new_slots;
                 all.iter().zip(known).for_each(|(&slot, known)| field[slot as usize] += *known);
             }
         }
@@ -61,9 +61,9 @@ impl<V: Value> Updater<'_, V> {
         Ok(())
     }
 
-    /// All bounces among the new rows, on their subset: what they gather of the light around them, and of one another.
+    /// All bounces among the new slots, on their subset: what they gather of the light around them, and of one another.
     fn self_passes(&self, seed: u64, direct: &[V], spots: Option<&Spots>, field: &mut [V]) -> Result<(), Canceled> {
-        let (world, slots) = (self.world, &self.transition.new_rows);
+        let (world, slots) = (self.world, &self.transition.new_slots);
         let is_new = self.new_flags();
         let rows = Arc::new(Rows::only(&self.subset, |slot| is_new[slot as usize]));
         let rough = Rough::default();
