@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use axum::body::HttpBody as _;
+use axum::extract::rejection::PathRejection;
 use axum::extract::{Extension, Path, Request, State};
 use axum::http::StatusCode;
 use axum::middleware::Next;
@@ -34,11 +35,13 @@ impl Turns {
 pub(super) async fn for_answers(
     State(app): State<Arc<App>>,
     Extension(Turns(turns)): Extension<Turns>,
-    Path(names): Path<Vec<(String, String)>>,
+    names: Result<Path<Vec<(String, String)>>, PathRejection>,
     request: Request,
     next: Next,
 ) -> ApiResult<Response> {
     let turn = turns.acquire_owned().await.map_err(Problem::internal)?;
+    // What is wrong with a path is told by who answers.
+    let names = names.map_or_else(|_| Vec::new(), |Path(names)| names);
     let scene = names.iter().find(|(name, _)| name == "scene").and_then(|(_, id)| app.ids.parse_scene(id));
     let elements =
         scene.and_then(|number| app.scenes.get(number)).map_or(0, |scene| scene.published().world.element_count());
