@@ -106,7 +106,7 @@ mod tests {
         let mut normal = || (0..12).map(|_| rng.next_f32()).sum::<f32>() - 6.0;
         let draws: Vec<(f32, f32)> =
             world.positions().iter().map(|_| (normal(), (normal().powi(2) + normal().powi(2)) / 2.0)).collect();
-        let is_dark = |slot: usize| slot % 97 == 0;
+        let is_dark = |slot: usize| slot.is_multiple_of(97);
         let pooled = pooled_with_neighbours(&world, 2.0, |slot| !is_dark(slot), |slot| draws[slot].1);
         let lit: Vec<usize> = (0..draws.len()).filter(|&slot| !is_dark(slot)).collect();
         let count = lit.len() as f64;

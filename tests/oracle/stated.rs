@@ -51,7 +51,7 @@ fn indirect(map: &LightMap, slot: usize) -> Vec3 {
 }
 
 /// A client of indirect light is told the error of indirect light, by bakes and by updates, as a whole and of each
-/// element: 16 samples are three rounds, which by themselves tell a variance so badly that 5 % are surprised.
+/// element: 16 samples are three rounds, which by themselves tell a variance so badly that one in twenty is surprised.
 #[test]
 fn is_of_the_light_that_is_asked_for() {
     let mut found = Vec::new();
@@ -76,7 +76,7 @@ fn is_of_the_light_that_is_asked_for() {
             assert!((0.67..1.5).contains(&ratio), "{name}, {stated:?}: stated over found is {ratio:.3}");
             let surprised = surprises(world, maps, light);
             assert!(
-                surprised < 0.01,
+                surprised < 0.02,
                 "{name}, {stated:?}: {:.2} % are off by three of their errors",
                 100.0 * surprised
             );
