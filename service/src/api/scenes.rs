@@ -22,6 +22,7 @@ use super::types::{self, finite};
 use super::{Shared, etag, find_any_scene, find_scene, require_serving};
 use crate::engine::LightMap;
 use crate::jobs::budget::JobBudget;
+use crate::jobs::tell_scene;
 use crate::state::App;
 use crate::store::StoreError;
 use crate::store::records::SceneChange;
@@ -133,14 +134,7 @@ pub(super) async fn delete(State(app): Shared, ApiPath(id): ApiPath<String>) -> 
     app.assets.release(scene.number);
     app.cancel_scene(&scene);
     app.pictures.forget(scene.number);
-    let published = scene.published();
-    let event = types::SceneEvent {
-        scene: scene.id.clone(),
-        what: types::SceneChange::Deleted,
-        version: published.version,
-        elements_version: published.elements_version,
-    };
-    scene.events.push("scene", types::to_event_data(&event));
+    tell_scene(&scene, types::SceneChange::Deleted, &scene.published());
     scene.mark_deleted();
     scene.events.close();
     Ok(StatusCode::NO_CONTENT)

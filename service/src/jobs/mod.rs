@@ -38,9 +38,11 @@ use crate::state::App;
 use crate::store::lighting::Sequence;
 use crate::store::records::{JobRecord, stored_importance};
 use crate::store::scene::SceneEntry;
+
 use budget::JobBudget;
 use queue::{Job, JobKind, JobNumber, Priority, Queue, QueueLimits};
 use stop::Stop;
+pub(crate) use telling::tell_scene;
 
 /// What to do for a scene.
 #[derive(Clone, Debug, Serialize, Deserialize)]

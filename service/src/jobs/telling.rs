@@ -61,13 +61,18 @@ impl App {
 
     /// A new version with other elements, objects or lights.
     pub(crate) fn tell_edited(&self, scene: &SceneEntry, job: Option<JobNumber>, published: &Published) {
-        let event = types::SceneEvent {
-            scene: scene.id.clone(),
-            what: types::SceneChange::Edited,
-            version: published.version,
-            elements_version: published.elements_version,
-        };
-        scene.events.push("scene", types::to_event_data(&event));
+        tell_scene(scene, types::SceneChange::Edited, published);
         self.tell_snapshot(scene, job, published, None);
     }
+}
+
+/// What became of a scene.
+pub(crate) fn tell_scene(scene: &SceneEntry, what: types::SceneChange, published: &Published) {
+    let event = types::SceneEvent {
+        scene: scene.id.clone(),
+        what,
+        version: published.version,
+        elements_version: published.elements_version,
+    };
+    scene.events.push("scene", types::to_event_data(&event));
 }
