@@ -103,7 +103,7 @@ impl Ledger {
 }
 
 impl Room {
-    /// Sends `answer`, and keeps as much room as it takes. `_with` is dropped at its end.
+    /// Sends `answer`, and keeps as much room as it takes. `with` is let go once it is sent.
     pub(crate) fn send<T: Send + Unpin + 'static>(mut self, answer: Bytes, with: T) -> Body {
         let bytes = answer.len() as u64;
         let answers = self.answers.clone();
