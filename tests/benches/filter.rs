@@ -9,13 +9,17 @@
 //! that have at least 1 % of the squared error; and what filtering takes beside the bake, in seconds.
 #![allow(clippy::print_stdout)]
 
-use std::path::{Path, PathBuf};
+mod asked;
+
+use std::path::Path;
 use std::time::Instant;
 
 use glam::Vec3;
 use rebake_core::filter::filter;
 use rebake_core::scene::{LoadLimits, load};
 use rebake_core::{Budget, LightMap, LightPart, Unobserved, World, WorldOptions, bake};
+
+use asked::Asked;
 
 const SAMPLES: [u32; 4] = [4, 8, 16, 64];
 
@@ -38,14 +42,10 @@ const SPACINGS: [(&str, f32); 5] = [
 
 fn main() {
     rebake::keep_freed_memory();
-    let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();
-    let value = |name: &str| arguments.iter().find_map(|a| a.strip_prefix(name)?.strip_prefix('='));
-    let named = |name: &str| arguments.iter().any(|a| a == name) || value(name).is_some();
-    let all = !SPACINGS.iter().any(|(name, _)| named(name));
-    let folder = PathBuf::from(value("scenes").unwrap_or(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/scenes")));
-    let reference = value("reference").and_then(|v| v.parse().ok()).unwrap_or(REFERENCE);
-    for (name, spacing) in SPACINGS.iter().filter(|(name, _)| all || named(name)) {
-        let spacing = value(name).and_then(|v| v.parse().ok()).unwrap_or(*spacing);
+    let asked = Asked::new();
+    let folder = asked.folder();
+    let reference = asked.value("reference").and_then(|v| v.parse().ok()).unwrap_or(REFERENCE);
+    for (name, spacing) in asked.scenes(&SPACINGS) {
         match file(&folder, name, spacing) {
             Some(world) => compare(name, &world, reference),
             None => println!("{name}: passed over, it is not in {}", folder.display()),

@@ -11,8 +11,9 @@
 //! show, and how far off that is; and the frames per second of a dragged light.
 #![allow(clippy::print_stdout)]
 
+mod asked;
+
 use std::hint::black_box;
-use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
@@ -22,6 +23,8 @@ use rebake_core::{
     Budget, DragBasis, Edit, LightMap, Observer, Progress, Relight, Snapshot, Unobserved, World, WorldOptions, bake,
     update,
 };
+
+use asked::Asked;
 
 /// Runs of each; the median counts.
 const RUNS: usize = 5;
@@ -37,15 +40,10 @@ const SPACINGS: [(&str, f32); 4] = [("room", 0.08), ("cornell-box", 0.04), ("liv
 
 fn main() {
     rebake::keep_freed_memory();
-    let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();
-    let value = |name: &str| arguments.iter().find_map(|a| a.strip_prefix(name)?.strip_prefix('='));
-    let named = |name: &str| arguments.iter().any(|a| a == name) || value(name).is_some();
-    let all = !SPACINGS.iter().any(|(name, _)| named(name));
-    let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/scenes");
-    let folder = PathBuf::from(value("scenes").unwrap_or(beside));
-    for (name, spacing) in SPACINGS.iter().filter(|(name, _)| all || named(name)) {
-        let spacing = value(name).and_then(|v| v.parse().ok()).unwrap_or(*spacing);
-        match *name {
+    let asked = Asked::new();
+    let folder = asked.folder();
+    for (name, spacing) in asked.scenes(&SPACINGS) {
+        match name {
             "room" => {
                 let world = room(16, spacing);
                 let floor = DMat4::from_translation(DVec3::new(3.0, 0.0, 1.0));
