@@ -6,10 +6,10 @@ use std::sync::LazyLock;
 use libfuzzer_sys::fuzz_target;
 use rebake::engine::{Scene, World};
 use rebake_core::WorldOptions;
-use rebake_core::scene::{LoadLimits, load};
+use rebake_core::scene::LoadLimits;
 
 fn load(glb: &[u8]) -> Scene {
-    load(glb, &LoadLimits::default()).expect("a seed is a scene")
+    rebake_core::scene::load(glb, &LoadLimits::default()).expect("a seed is a scene")
 }
 
 static ROOM: LazyLock<World> = LazyLock::new(|| {
