@@ -2,6 +2,7 @@
 
 import { isOpen, type Job, type Light, type Rgb, type Scene, type Snapshot, type Upload } from 'rebake';
 import { client } from './api';
+import { coalesce } from './coalesce';
 import { Commands } from './commands';
 import { watchControls } from './controls';
 import { details } from './details';
@@ -32,7 +33,7 @@ const selection = new Selection();
 const feed = new Feed({
   job: heard,
   jobs: () => (panelsOfWork(), settle()),
-  scene: refresh,
+  scene: () => refresh(),
   snapshot,
   stated(error, elementsVersion) {
     if (!scene) return;
@@ -166,8 +167,8 @@ async function showMesh(): Promise<void> {
   $('numbers').dataset['mesh'] = `${scene.elements.toLocaleString('en')} elements`;
 }
 
-/** The scene as it is now. */
-async function refresh(): Promise<void> {
+/** Shows the scene as it is now. */
+const refresh = coalesce(async () => {
   if (!scene) return;
   const id = scene.id;
   const now = await client.scene(id);
@@ -181,6 +182,7 @@ async function refresh(): Promise<void> {
   const has = (of: Scene, { kind, name }: Picked) => (kind === 'object' ? of.objects : of.lights).some((one) => one.name === name);
   selection.keep((one) => has(now, one) || !has(last, one));
   await showMesh();
+  if (scene?.id !== id) return;
   seen = accepted_edits;
   stage.select(selection.all);
   panels();
@@ -190,7 +192,7 @@ async function refresh(): Promise<void> {
   prepare();
   await editor.refresh();
   if (last.lights.length > 0 && now.lights.length === 0) offerLight();
-}
+});
 
 // ---- what the service tells
 

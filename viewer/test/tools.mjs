@@ -11,6 +11,7 @@ export async function checkTools(about) {
   await drag(about);
   await lists(about);
   await away(about);
+  await late(about);
   await others(about);
   await history(about);
 }
@@ -323,6 +324,32 @@ async function others(about) {
   await page.waitForFunction((n) => window.rebake.state().scene.objects.find((o) => o.name === n).hidden, objectName);
   check((await state()).scene.accepted_edits >= 2, 'and is made when it is wanted all the same');
   await settled();
+}
+
+/** An old answer that comes after a newer one does not count. */
+async function late(about) {
+  const { page, check, settled, objectName, client, scene } = about;
+  let answers = 0;
+  let another;
+  const newer = new Promise((done) => (another = done));
+  const hold = async (route) => {
+    const answer = await route.fetch();
+    // Where the page asks for one at a time, none comes before the old one.
+    if (++answers === 1) await Promise.race([newer, new Promise((done) => setTimeout(done, 1000))]);
+    await route.fulfill({ response: answer });
+    if (answers > 1) another();
+  };
+  const paint = (albedo) => client.edit(scene.id, { op: 'material', object: objectName, albedo });
+  const path = new RegExp(`/v1/scenes/${scene.id}$`);
+  await page.route(path, hold);
+  const [first, last] = [await paint([0.2, 0.5, 0.2]), await paint([0.2, 0.4, 0.6])];
+  await Promise.all([first, last].map(({ id }) => client.finished(id)));
+  await page.waitForFunction((n) => window.rebake.state().scene.accepted_edits >= n, last.accepted_edits);
+  await settled();
+  const shown = await page.evaluate((n) => window.rebake.state().scene.objects.find((o) => o.name === n).albedo[2], objectName);
+  check(close(shown, 0.6), 'an old answer that comes late does not count');
+  await page.unroute(path, hold);
+  await undo(about, 2);
 }
 
 async function history(about) {
