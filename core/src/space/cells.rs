@@ -246,13 +246,22 @@ impl Cells {
         }
     }
 
-    /// What `f` makes of every cell, in an order that depends on nothing but the layout.
-    pub(crate) fn collect<T: Send>(&self, surface: &Surface, f: impl Fn(&Patch) -> Option<T> + Sync) -> Vec<T> {
+    /// What `f` makes of every cell, in an order that depends on nothing but the layout. Triangles on the way to cells
+    /// that `is_wanted` refuses are left out, with all cells within.
+    pub(crate) fn collect<T: Send>(
+        &self,
+        surface: &Surface,
+        is_wanted: impl Fn(&Patch) -> bool + Sync,
+        f: impl Fn(&Patch) -> Option<T> + Sync,
+    ) -> Vec<T> {
         let of_cells = |patches: &mut dyn Iterator<Item = Patch>| {
             let (mut stack, mut found) = (Vec::new(), Vec::new());
             for patch in patches {
                 stack.push(patch);
                 while let Some(patch) = stack.pop() {
+                    if !is_wanted(&patch) {
+                        continue;
+                    }
                     if patch.node == NONE { found.extend(f(&patch)) } else { self.divide(&patch, &mut stack) }
                 }
             }
@@ -266,16 +275,26 @@ impl Cells {
             return tasks.flat_map_iter(|task| of_cells(&mut task.map(|face| self.face(surface, face)))).collect();
         }
         // Few large triangles are divided until there are enough of them.
-        let mut tasks: Vec<Patch> = faces.map(|face| self.face(surface, face)).collect();
+        let mut tasks: Vec<Patch> = faces.map(|face| self.face(surface, face)).filter(&is_wanted).collect();
         while tasks.len() < TASKS && tasks.iter().any(|patch| patch.node != NONE) {
             let mut finer = Vec::with_capacity(4 * tasks.len());
             for patch in &tasks {
                 if patch.node == NONE { finer.push(*patch) } else { self.divide(patch, &mut finer) }
             }
+            finer.retain(&is_wanted);
             tasks = finer;
         }
         let size = tasks.len().div_ceil(TASKS).max(1);
         tasks.par_chunks(size).flat_map_iter(|task| of_cells(&mut task.iter().copied())).collect()
+    }
+}
+
+impl Patch {
+    /// Low and high corner of its box, scene space.
+    #[inline]
+    pub(crate) fn bounds(&self) -> (Vec3, Vec3) {
+        let [a, b, c] = self.corners;
+        (a.min(b).min(c), a.max(b).max(c))
     }
 }
 

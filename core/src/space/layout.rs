@@ -7,13 +7,18 @@ use super::elements::sample_points;
 use super::neighbours::Neighbours;
 use super::subdivide::{Subdivided, subdivide};
 use crate::order::{along_curve, in_order};
-use crate::surface::{Surface, SurfaceError, barycentrics, moved_normals, moved_points, triangle_area};
+use crate::surface::{Surface, SurfaceError, barycentrics, moved_normals, moved_points, overlap, triangle_area};
+
+/// Distances between elements are as they were before a motion, or shorter than this many times that.
+const REACH: f32 = 1.01;
 
 /// How the elements of one side of a surface are laid out; moving the surface leaves it as it is.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Layout {
     pub(super) cells: Cells,
     neighbours: Neighbours,
+    /// How far from the corners of its cells an element may be, m.
+    reach: f32,
 }
 
 /// What elements are, before they have slots.
@@ -35,7 +40,8 @@ fn raise(surface: &Surface, cells: &Cells, positions: &mut [Vec3]) {
         let [a, b, c] = surface.triangles[face as usize].map(|vertex| surface.normals[vertex as usize]);
         a != b || b != c
     };
-    let round = cells.collect(surface, |patch| is_round(patch.face).then_some((patch.face, patch.elements)));
+    let of_round = |patch: &Patch| is_round(patch.face).then_some((patch.face, patch.elements));
+    let round = cells.collect(surface, |_| true, of_round);
     let mut is_raised = vec![false; if round.is_empty() { 0 } else { positions.len() }];
     for (face, element) in round.into_iter().flat_map(|(face, elements)| elements.map(|e| (face, e as usize))) {
         if std::mem::replace(&mut is_raised[element], true) {
@@ -95,12 +101,14 @@ impl Layout {
         let (corners, normals) = (in_order(&positions, &order), in_order(&normals, &order));
         // Rounding to f32 may flatten the smallest cells.
         let has_area = |elements: &[u32; 3]| triangle_area(elements.map(|e| corners[e as usize])) > 0.0;
-        let of_cells = cells.collect(surface, |patch| Some(patch.elements));
+        let of_cells = cells.collect(surface, |_| true, |patch| Some(patch.elements));
         let neighbours = Neighbours::new(corners.len(), &of_cells);
         let triangles: Vec<[u32; 3]> = of_cells.into_iter().filter(has_area).collect();
         let mut elements = sample_points(&corners, &normals, &triangles);
         raise(surface, &cells, &mut elements.positions);
-        Ok((Layout { cells, neighbours }, elements))
+        let distances = elements.positions.iter().zip(&corners).map(|(element, corner)| element.distance(*corner));
+        let reach = distances.fold(0.0, f32::max);
+        Ok((Layout { cells, neighbours, reach }, elements))
     }
 
     /// Ids of cells are below this.
@@ -111,7 +119,21 @@ impl Layout {
     /// What `f` makes of every cell of a surface that is laid out so, in an order that depends on nothing but the
     /// layout.
     pub(crate) fn of_cells<T: Send>(&self, surface: &Surface, f: impl Fn(&Patch) -> Option<T> + Sync) -> Vec<T> {
-        self.cells.collect(surface, f)
+        self.cells.collect(surface, |_| true, f)
+    }
+
+    /// What `f` makes of those cells of a surface that is laid out so which some of the `boxes` may touch, be it at an
+    /// element of theirs, and perhaps of others beside them; in an order that depends on nothing but the layout.
+    pub(crate) fn of_cells_in<T: Send>(
+        &self,
+        surface: &Surface,
+        boxes: &[(Vec3, Vec3)],
+        f: impl Fn(&Patch) -> Option<T> + Sync,
+    ) -> Vec<T> {
+        // Elements are moved along with the surface, and rounded.
+        let reach = Vec3::splat(REACH * self.reach);
+        let grown: Vec<(Vec3, Vec3)> = boxes.iter().map(|(low, high)| (*low - reach, *high + reach)).collect();
+        self.cells.collect(surface, |patch| grown.iter().any(|b| overlap(b, &patch.bounds())), f)
     }
 
     /// Where the cells of a surface that is laid out so have their corners, per element; scene space.

@@ -4,6 +4,12 @@ use glam::{DMat4, Vec3};
 
 use super::{FileTriangle, Surface};
 
+/// Whether two boxes, low and high corners, have a point in common.
+#[inline]
+pub(crate) fn overlap(a: &(Vec3, Vec3), b: &(Vec3, Vec3)) -> bool {
+    a.0.cmple(b.1).all() && b.0.cmple(a.1).all()
+}
+
 impl Surface {
     /// This surface after a rigid motion in scene space.
     pub fn transformed(&self, motion: &DMat4) -> Surface {

@@ -1,9 +1,10 @@
 //! Which elements nobody sees as they are: inside solids, or cut off from most of their cells by a surface.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use glam::Vec3;
 
+use super::sight::{Touched, is_touched, of_touched_cells};
 use super::{Placed, World, visible_light};
 use crate::bvh::Ray;
 use crate::random::Pcg32;
@@ -91,35 +92,75 @@ impl Sight {
     }
 }
 
-/// Elements of an object, outside of solids, that see next to nothing of their cells, ascending.
-pub(super) fn behind_surfaces(world: &World, placed: &Placed) -> Vec<u32> {
+/// Elements of an object, outside of solids, that see next to nothing of their cells, ascending. Where nothing has
+/// changed about their cells, they are those that were.
+pub(super) fn behind_surfaces(world: &World, placed: &Placed, touched: Touched) -> Vec<u32> {
     let behind = world.validity.behind();
-    let is_outside = |slot: u32| world.is_valid(slot as usize) || behind.binary_search(&slot).is_ok();
+    let was_behind = |slot: u32| behind.binary_search(&slot).is_ok();
+    let asked = asked(world, placed, touched);
+    let is_asked = |slot: u32| asked.as_ref().is_none_or(|asked| asked.slots.contains(&slot));
+    let boxes = asked.as_ref().map(|asked| &*asked.boxes);
     let is_cut = |patch: &Patch| world.space.is_cut(placed.placement.cells.start + patch.cell);
     let corners = |patch: &Patch| {
         let elements = patch.elements;
         placed.sides().map(move |side| elements.map(|element| side.start + element))
     };
-    let cut = placed.layout.of_cells(&placed.surface, |patch| {
-        is_cut(patch).then(|| corners(patch).flat_map(|corners| seen_of_cell(world, corners)).collect::<Vec<_>>())
+    let cut = of_touched_cells(placed, boxes, |patch| {
+        let is_wanted = || is_cut(patch) && corners(patch).flatten().any(is_asked);
+        is_wanted().then(|| corners(patch).flat_map(|corners| seen_of_cell(world, corners)).collect::<Vec<_>>())
     });
     let mut sights: BTreeMap<u32, Sight> = BTreeMap::new();
-    for (slot, seen) in cut.into_iter().flatten().filter(|(slot, _)| is_outside(*slot)) {
+    let is_outside = |slot: u32| world.is_valid(slot as usize) || was_behind(slot);
+    for (slot, seen) in cut.into_iter().flatten().filter(|(slot, _)| is_asked(*slot) && is_outside(*slot)) {
         sights.entry(slot).or_default().add(seen);
     }
-    if sights.is_empty() {
-        return Vec::new();
-    }
-    // Of cells that nothing stands on, all is seen.
-    let whole = placed.layout.of_cells(&placed.surface, |patch| {
-        let there = || corners(patch).flatten().filter(|slot| sights.contains_key(slot)).collect::<Vec<_>>();
-        (!is_cut(patch)).then(there).filter(|slots| !slots.is_empty())
-    });
-    for slot in whole.into_iter().flatten() {
-        sights.entry(slot).or_default().add(1.0);
+    if !sights.is_empty() {
+        // Of cells that nothing stands on, all is seen.
+        let whole = of_touched_cells(placed, boxes, |patch| {
+            let there = || corners(patch).flatten().filter(|slot| sights.contains_key(slot)).collect::<Vec<_>>();
+            (!is_cut(patch)).then(there).filter(|slots| !slots.is_empty())
+        });
+        for slot in whole.into_iter().flatten() {
+            sights.entry(slot).or_default().add(1.0);
+        }
     }
     let is_behind = |sight: Sight| sight.seen < LEAST_SHARE * sight.cells as f32;
-    sights.into_iter().filter(|(_, sight)| is_behind(*sight)).map(|(slot, _)| slot).collect()
+    let found = sights.into_iter().filter(|(_, sight)| is_behind(*sight)).map(|(slot, _)| slot);
+    let kept = world.validity.behind_of(&placed.placement.elements).iter().copied().filter(|slot| !is_asked(*slot));
+    let mut all: Vec<u32> = found.chain(kept).collect();
+    all.sort_unstable();
+    all
+}
+
+/// Elements about whose cells geometry has changed.
+struct Asked {
+    slots: BTreeSet<u32>,
+    /// All their cells are in these.
+    boxes: Vec<(Vec3, Vec3)>,
+}
+
+/// None where all elements are.
+fn asked(world: &World, placed: &Placed, touched: Touched) -> Option<Asked> {
+    let boxes = touched?;
+    let (positions, start) = (world.positions(), placed.placement.elements.start);
+    let at = |element: u32| positions[(start + element) as usize];
+    let of_box = |one: &(Vec3, Vec3)| {
+        let one = Some(std::slice::from_ref(one));
+        let touched = of_touched_cells(placed, one, |patch| {
+            let [a, b, c] = patch.elements.map(at);
+            let is_touched = is_touched(one, a, b) || is_touched(one, b, c) || is_touched(one, c, a);
+            is_touched.then_some(patch.elements)
+        });
+        let elements: BTreeSet<u32> = touched.into_iter().flatten().collect();
+        let around = elements.iter().flat_map(|&element| placed.layout.neighbours_of(element));
+        let grow = |(low, high): (Vec3, Vec3), p: Vec3| (low.min(p), high.max(p));
+        let grown = around.map(|&element| at(element)).fold((Vec3::INFINITY, Vec3::NEG_INFINITY), grow);
+        (elements, grown)
+    };
+    let (elements, boxes): (Vec<BTreeSet<u32>>, Vec<_>) = boxes.iter().map(of_box).unzip();
+    let sides = placed.sides();
+    let slots = sides.flat_map(|side| elements.iter().flatten().map(move |element| side.start + element)).collect();
+    Some(Asked { slots, boxes })
 }
 
 /// What each corner of a cell sees of it: as far as it sees along both edges.

@@ -13,6 +13,8 @@ pub(crate) struct Coarse {
     pub offsets: Vec<u32>,
     /// (index into `representatives`, weight); the weights of one element sum to 1.
     pub entries: Vec<(u32, f32)>,
+    /// How far an element is from its representatives at most, m.
+    pub reach: f32,
 }
 
 /// At most this many representatives per element.
@@ -48,7 +50,7 @@ impl Coarse {
         chosen.sort_unstable_by_key(|(element, cell)| (cell.0, *element));
         let cell_index: BTreeMap<Cell, u32> = chosen.iter().map(|(_, cell)| *cell).zip(0..).collect();
         let representatives = chosen.into_iter().map(|(element, _)| element).collect();
-        let mut coarse = Coarse { representatives, offsets: vec![0], entries: Vec::new() };
+        let mut coarse = Coarse { representatives, offsets: vec![0], entries: Vec::new(), reach: 0.0 };
         for (p, n) in positions.iter().zip(normals) {
             coarse.push_entries(*p, *n, positions, normals, radius, &cell_index);
         }
@@ -89,6 +91,8 @@ impl Coarse {
         }
         found.retain(|e| e.1 > 0.0);
         let total: f32 = found.iter().map(|e| e.1).sum();
+        let distances = found.iter().map(|(r, _)| p.distance(positions[self.representatives[*r as usize] as usize]));
+        self.reach = distances.fold(self.reach, f32::max);
         self.entries.extend(found.iter().map(|(r, w)| (*r, w / total)));
         self.offsets.push(self.entries.len() as u32);
     }

@@ -10,13 +10,17 @@ use super::buried::behind_surfaces;
 use super::{Placed, World};
 use crate::bits::Bits;
 use crate::bvh::Ray;
-use crate::space::ray_offset;
+use crate::space::{Patch, ray_offset};
+use crate::surface::overlap;
 
 /// Height above the surface at which sight is asked for, in spacings.
 const LIFT: f32 = 0.05;
 
 /// Part of the way between two points that is left out at both ends: walls may begin there.
 const ENDS: f32 = 0.02;
+
+/// Distances within an object are as they were before a motion, or shorter than this many times that.
+const REACH: f32 = 1.01;
 
 /// Entries of an object's coarse weights whose representative the element does not see.
 #[derive(Clone, Debug, Default)]
@@ -87,10 +91,12 @@ impl World {
     /// neighbours' values from then on, and cells at them are cut.
     pub(super) fn find_behind(&mut self, touched: Touched, is_new: impl Fn(&Placed) -> bool + Sync) {
         let world = &*self;
-        let is_touched = |placed: &Placed| is_new(placed) || world.is_near(touched, placed);
-        let kept = |placed: &Placed| world.validity.behind_of(&placed.placement.elements).to_vec();
         let of_object = |placed: &Arc<Placed>| -> Vec<u32> {
-            if is_touched(placed) { behind_surfaces(world, placed) } else { kept(placed) }
+            let touched = if is_new(placed) { None } else { touched };
+            match world.is_near(touched, placed) {
+                true => behind_surfaces(world, placed, touched),
+                false => world.validity.behind_of(&placed.placement.elements).to_vec(),
+            }
         };
         let mut behind: Vec<u32> = world.placed.par_iter().flat_map_iter(of_object).collect();
         behind.sort_unstable();
@@ -124,39 +130,55 @@ impl World {
     }
 }
 
-pub(super) fn overlap(a: &(Vec3, Vec3), b: &(Vec3, Vec3)) -> bool {
-    a.0.cmple(b.1).all() && b.0.cmple(a.1).all()
-}
-
-fn is_touched(touched: Touched, a: Vec3, b: Vec3) -> bool {
+/// Whether geometry has changed about the way between two points.
+pub(super) fn is_touched(touched: Touched, a: Vec3, b: Vec3) -> bool {
     touched.is_none_or(|boxes| boxes.iter().any(|x| overlap(x, &(a.min(b), a.max(b)))))
 }
 
-/// Entries between an element and a representative that do not see each other, just above the surface.
+/// What `f` makes of the cells of an object about which geometry may have changed.
+pub(super) fn of_touched_cells<T: Send>(
+    placed: &Placed,
+    touched: Touched,
+    f: impl Fn(&Patch) -> Option<T> + Sync,
+) -> Vec<T> {
+    match touched {
+        Some(boxes) => placed.layout.of_cells_in(&placed.surface, boxes, f),
+        None => placed.layout.of_cells(&placed.surface, f),
+    }
+}
+
+/// Entries between an element and a representative that do not see each other, just above the surface. Those of elements
+/// that are far from what has changed stay as they were.
 fn hidden_entries(world: &World, placed: &Placed, touched: Touched, old: Option<&Hidden>) -> Hidden {
     let coarse = &placed.coarse;
     let n = placed.layout.len() as u32;
     let entries = coarse.entries.len();
     let sides = if placed.with_back { 2 } else { 1 };
-    let hidden: Vec<usize> = (0..sides * n)
+    let touched = touched.filter(|_| old.is_some());
+    // Representatives were moved along with their elements, and rounded.
+    let reach = Vec3::splat(REACH * coarse.reach);
+    let asked: Vec<(usize, bool)> = (0..sides * n)
         .into_par_iter()
         .with_min_len(256)
         .flat_map_iter(|i| {
             let (back, element) = (i >= n, i % n);
             let first = placed.placement.elements.start + if back { n } else { 0 };
-            let above = move |element: u32| world.above(first + element);
-            let range = coarse.offsets[element as usize] as usize..coarse.offsets[element as usize + 1] as usize;
+            let from = world.above(first + element);
+            let lift = Vec3::splat(2.0 * world.lift(from));
+            let range = match is_touched(touched, from - reach - lift, from + reach + lift) {
+                true => coarse.offsets[element as usize] as usize..coarse.offsets[element as usize + 1] as usize,
+                false => 0..0,
+            };
             range.filter_map(move |e| {
-                let (from, to) = (above(element), above(coarse.representatives[coarse.entries[e].0 as usize]));
-                let hidden = match old {
-                    Some(old) if !is_touched(touched, from, to) => old.contains(back, e),
-                    _ => world.blocked(from, to),
-                };
-                hidden.then_some(e + if back { entries } else { 0 })
+                let to = world.above(first + coarse.representatives[coarse.entries[e].0 as usize]);
+                let entry = e + if back { entries } else { 0 };
+                is_touched(touched, from, to).then(|| (entry, world.blocked(from, to)))
             })
         })
         .collect();
-    Hidden { hidden: hidden.into_iter().collect(), entries }
+    let mut hidden = touched.and(old).map_or_else(Bits::default, |old| old.hidden.clone());
+    asked.into_iter().for_each(|(entry, is_hidden)| hidden.set(entry, is_hidden));
+    Hidden { hidden, entries }
 }
 
 /// Cells whose corners were asked whether they see each other, and whether some do not, or are no places of their own.
@@ -168,7 +190,7 @@ fn cut_cells(world: &World, placed: &Placed, touched: Touched) -> Vec<(u32, bool
         let above = slots.map(|slot| world.above(slot));
         valid != [true; 3] || (0..3).any(|k| world.blocked(above[k], above[(k + 1) % 3]))
     };
-    placed.layout.of_cells(&placed.surface, |patch| {
+    of_touched_cells(placed, touched, |patch| {
         let slots = patch.elements.map(|element| placed.placement.elements.start + element);
         let [a, b, c] = slots.map(|slot| positions[slot as usize]);
         if !(is_touched(touched, a, b) || is_touched(touched, b, c) || is_touched(touched, c, a)) {
@@ -183,7 +205,7 @@ fn cut_cells(world: &World, placed: &Placed, touched: Touched) -> Vec<(u32, bool
 mod tests {
     use std::sync::Arc;
 
-    use glam::{DMat4, DVec3, Vec3};
+    use glam::{DMat4, DQuat, DVec3, Vec3};
 
     use crate::scene::{Material, Mesh, Object, Scene};
     use crate::{Edit, World, WorldOptions};
@@ -216,6 +238,44 @@ mod tests {
             assert_eq!(world.validity.behind(), behind);
             assert!(behind.iter().all(|&slot| !world.is_valid(slot as usize)), "they are computed now");
             assert!(behind.iter().all(|slot| !transition.filled_slots.contains(slot)));
+        }
+    }
+
+    /// Only what an edit touches is asked again, and everything is then as if all of it had been asked.
+    #[test]
+    fn what_an_edit_does_not_touch_is_not_asked_again() {
+        let white = Material::diffuse(Vec3::ONE);
+        let room = Mesh::cuboid(Vec3::ZERO, Vec3::new(3.0, 2.0, 3.0)).inside_out();
+        let plate = Mesh::cuboid(Vec3::new(1.47, -0.1, 0.5), Vec3::new(1.49, 1.0, 2.5));
+        let named = |name: &str, mesh| Object::new(name, mesh, white);
+        let mut ball = named("ball", Mesh::icosphere(0.32, 3));
+        ball.world_from_object = DMat4::from_translation(DVec3::new(0.7, 0.3, 0.7));
+        let objects = vec![named("room", room), named("plate", plate), ball];
+        let options = WorldOptions { spacing: Some(0.1), ..WorldOptions::default() };
+        let mut world = World::new(Scene::from_objects(objects), &options).expect("a room");
+        let slab = named("slab", Mesh::cuboid(Vec3::ZERO, Vec3::new(0.03, 0.7, 0.8)));
+        let asset = Arc::new(Scene::from_objects(vec![slab]));
+        let at = |x: f64, turn: f64| {
+            DMat4::from_rotation_translation(DQuat::from_rotation_y(turn), DVec3::new(x, -0.05, 1.1))
+        };
+        for edit in [
+            Edit::Insert { asset, name: "slab".into(), transform: at(0.62, 0.3) },
+            Edit::Move { object: "slab".into(), transform: at(1.4, 0.0) },
+            Edit::Move { object: "slab".into(), transform: at(2.96, -0.2) },
+            Edit::Remove { objects: vec!["plate".into()] },
+        ] {
+            world = world.apply(&[edit]).expect("an edit").after;
+            assert!(world.sight.values().any(|hidden| !hidden.is_empty()), "nothing hides anything");
+            assert!(!world.validity.behind().is_empty(), "nothing is behind a surface");
+            let mut again = world.clone();
+            again.look_around(None, |_| true);
+            again.find_behind(None, |_| true);
+            assert_eq!(again.validity.behind(), world.validity.behind());
+            assert!((0..world.space.cells() as u32).all(|cell| again.space.is_cut(cell) == world.space.is_cut(cell)));
+            for placed in &world.placed {
+                let [now, then] = [&again, &world].map(|world| &world.sight[&placed.key].hidden);
+                assert_eq!(now, then, "of {}", placed.key);
+            }
         }
     }
 }

@@ -9,10 +9,10 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::buried::{depth_towards, is_inside};
-use super::sight::overlap;
 use super::{Placed, Trees, World};
 use crate::bits::Bits;
 use crate::lightmap::LightValues;
+use crate::surface::overlap;
 use crate::value::Value;
 
 /// Which elements cannot be computed, and where their values come from.
