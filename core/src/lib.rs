@@ -37,6 +37,7 @@ pub mod probes;
 pub mod random;
 mod refine;
 pub mod render;
+pub mod resolution;
 mod rounds;
 pub mod sampling;
 mod scatter;

@@ -35,6 +35,11 @@ impl Footprint {
         &self.slots
     }
 
+    /// The slots with their weights.
+    pub(crate) fn slots_and_weights(&self) -> impl Iterator<Item = (u32, f32)> {
+        self.slots.into_iter().zip(self.weights)
+    }
+
     /// The weighted mean of some values, one per slot.
     #[inline]
     pub fn interpolate<V>(&self, values: &(impl Index<usize, Output = V> + ?Sized)) -> V

@@ -29,7 +29,11 @@ pub(super) fn is_inside(world: &World, slot: u32) -> bool {
         return false;
     }
     let (origin, n) = world.ray_origin(slot as usize);
-    let mut rng = Pcg32::new(0x1551, u64::from(slot));
+    is_in_solid(world, (origin, n), &mut Pcg32::new(0x1551, u64::from(slot)))
+}
+
+/// Whether a point, a little above a surface with a normal there, is inside a solid.
+fn is_in_solid(world: &World, (origin, n): (Vec3, Vec3), rng: &mut Pcg32) -> bool {
     let (mut solid, mut dark) = (0, 0);
     for k in 0..ALL_RAYS {
         if k == FIRST_RAYS && solid + dark == 0 {
@@ -45,7 +49,7 @@ pub(super) fn is_inside(world: &World, slot: u32) -> bool {
             dark += u32::from(!part.solid && !part.double_sided);
         }
     }
-    2 * solid > ALL_RAYS || solid + dark == ALL_RAYS && !is_lit(world, origin, n, &mut rng)
+    2 * solid > ALL_RAYS || solid + dark == ALL_RAYS && !is_lit(world, origin, n, rng)
 }
 
 /// Whether some light reaches a point straight.
@@ -56,6 +60,11 @@ fn is_lit(world: &World, point: Vec3, n: Vec3, rng: &mut Pcg32) -> bool {
 }
 
 impl World {
+    /// Whether a point on a surface with a normal there is inside a solid: nobody sees it.
+    pub(crate) fn is_in_solid(&self, point: Vec3, n: Vec3, rng: &mut Pcg32) -> bool {
+        is_in_solid(self, (point + n * self.lift(point), n), rng)
+    }
+
     /// A little above the surface at an element: where sight along it is asked for.
     #[inline]
     pub(super) fn above(&self, slot: u32) -> Vec3 {
