@@ -169,7 +169,7 @@ impl App {
         let jobs = Family::<OfState, Gauge<u64, AtomicU64>>::default();
         self.jobs.with_queue(|queue| {
             for state in JobState::ALL {
-                let count = queue.iter().filter(|job| job.state == state).count();
+                let count = queue.iter().filter(|job| job.state() == state).count();
                 jobs.get_or_create(&OfState { state: state.as_str() }).set(count as u64);
             }
         });

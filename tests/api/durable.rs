@@ -258,6 +258,29 @@ async fn a_paused_job_waits_and_goes_on_also_after_a_restart() {
 }
 
 #[tokio::test]
+async fn a_job_that_was_paused_while_it_waited_is_paused_after_a_restart() {
+    let directory = tempfile::tempdir().unwrap();
+    let (server, _script) = scripted(directory.path()).await;
+    let scene = server.room("?bake=false").await;
+    let running = server.edit(&scene, &json!({ "op": "remove", "objects": ["cupboard"] })).await;
+    server.until(&running, |job| job["state"] == "running").await;
+    let paused = server.edit(&scene, &paint(0.5)).await;
+    let told = server.post_text(&format!("/v1/jobs/{paused}/pause"), "", &[]).await.json(200);
+    assert_eq!((&told["state"], &told["pause_requested"]), (&json!("paused"), &json!(true)));
+    server.stop().await;
+
+    let (server, script) = scripted(directory.path()).await;
+    assert_eq!(server.get(&format!("/v1/jobs/{paused}")).await.json(200), told);
+    script.run(&[Step::Round, Step::Finish]);
+    assert_eq!(server.end_of(&running).await["state"], "succeeded");
+    assert_eq!(server.get(&format!("/v1/jobs/{paused}")).await.json(200)["state"], "paused");
+    server.post_text(&format!("/v1/jobs/{paused}/resume"), "", &[]).await.json(200);
+    script.run(&[Step::Round, Step::Finish]);
+    assert_eq!(server.end_of(&paused).await["state"], "succeeded");
+    server.stop().await;
+}
+
+#[tokio::test]
 async fn a_damaged_upload_costs_its_scene_alone() {
     let directory = tempfile::tempdir().unwrap();
     let server = start(directory.path()).await;

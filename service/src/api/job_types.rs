@@ -53,17 +53,17 @@ pub struct Job {
 
 impl Job {
     pub(crate) fn new(ids: &Ids, job: &queue::Job, about: &About) -> Job {
-        let progress = &job.progress;
+        let (progress, ended) = (&job.progress, job.ended());
         Job {
             id: ids.job(job.number),
             scene: about.scene.clone(),
             accepted_edits: about.sequence,
             kind: job.kind,
-            state: job.state,
-            cancel_requested: job.cancel_requested,
-            pause_requested: job.pause_requested,
+            state: job.state(),
+            cancel_requested: job.requests().cancel,
+            pause_requested: job.requests().pause,
             priority: job.priority,
-            merged_into: job.merged_into.map(|into| ids.job(into)),
+            merged_into: job.merged_into().map(|into| ids.job(into)),
             progress: JobProgress {
                 fraction: progress.fraction,
                 pass: progress.pass.map(str::to_owned),
@@ -75,9 +75,9 @@ impl Job {
                 version: progress.version,
             },
             created_at: job.created_at,
-            started_at: job.started_at,
-            finished_at: job.finished_at,
-            error: job.error.clone(),
+            started_at: job.started_at(),
+            finished_at: ended.map(|ended| ended.finished_at),
+            error: ended.and_then(|ended| ended.outcome.error().map(str::to_owned)),
         }
     }
 }

@@ -41,7 +41,7 @@ pub(super) async fn list(State(app): Shared, ApiQuery(query): ApiQuery<ListQuery
     let page = Page::new(&app.config, query.limit, query.cursor.as_deref())?;
     let jobs = app.jobs.older_than(page.before, page.limit + 1, |job, about| {
         query.scene.as_deref().is_none_or(|wanted| wanted == about.scene)
-            && query.state.is_none_or(|wanted| wanted == job.state)
+            && query.state.is_none_or(|wanted| wanted == job.state())
     });
     let (jobs, next_cursor) = page.cut(jobs, |(job, _)| job.number);
     let items = jobs.iter().map(|(job, about)| Job::new(&app.ids, job, about)).collect();

@@ -118,7 +118,6 @@ pub(super) fn keep(
         target: options.target,
         created_at: Timestamp::now(),
     };
-    let is_preparing = world.is_none();
     let new = NewScene {
         number: reservation.number,
         id: app.ids.scene(reservation.number),
@@ -129,7 +128,7 @@ pub(super) fn keep(
         first_event: app.first_event,
         reserved: FIRST_RESERVE,
         error: None,
-        state: if is_preparing { SceneState::Preparing } else { SceneState::Ready },
+        state: if world.is_none() { SceneState::Preparing } else { SceneState::Ready },
     };
     let layers = world.as_ref().map_or(0, layer_bytes);
     let world =
@@ -143,8 +142,7 @@ pub(super) fn keep(
         Some(budget) => {
             let spec = JobSpec::new(budget, next_seed(app.config.seed, &mut head.jobs), 0);
             let ticket = app.ticket(scene.number).map_err(full_problem)?;
-            let mut bake = new_record(ticket.number, &scene, (JobKind::Bake, options.priority), spec);
-            bake.job.waits_for_scene = is_preparing;
+            let bake = new_record(ticket.number, &scene, (JobKind::Bake, options.priority), spec);
             Some((ticket, bake))
         }
     };

@@ -1,108 +1,25 @@
-//! Jobs as plain data.
+//! One job: where it stands, with what it needs there, and its next steps. Without a clock, threads or locks.
+//!
+//! ```text
+//!    ┌──────────── interrupted ───────────┐
+//!    ▼                                    │
+//! waiting ──► running ──► ended
+//!  ▲  │ └──────────────────► ended
+//!  │  ▼         │
+//! paused ◄──────┘
+//! ```
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
+
+use super::words::{JobKind, JobState, Priority};
 
 /// Number of a job, in the order of arrival.
 pub type JobNumber = u64;
 /// Number of a scene, in the order of arrival.
 pub type SceneNumber = u64;
 
-/// What a job does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum JobKind {
-    /// Lights a scene from scratch, after an upload.
-    Bake,
-    /// Brings the light map up to date after an edit.
-    Edit,
-    /// Brings the light map closer to the scene's target, after an edit or a new target.
-    Refine,
-}
-
-impl JobKind {
-    /// A stable word for clients.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            JobKind::Bake => "bake",
-            JobKind::Edit => "edit",
-            JobKind::Refine => "refine",
-        }
-    }
-
-    /// Whether it works towards the scene's target. Edits of the scene go before it, whenever they come: it makes way for them
-    /// and goes on from the light that they leave.
-    pub fn is_for_target(self) -> bool {
-        match self {
-            JobKind::Bake | JobKind::Refine => true,
-            JobKind::Edit => false,
-        }
-    }
-}
-
-/// Where a job stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum JobState {
-    /// Waits for its turn.
-    Queued,
-    /// Runs.
-    Running,
-    /// Waits for a client to resume it.
-    Paused,
-    /// Done.
-    Succeeded,
-    /// Ended by an error.
-    Failed,
-    /// Ended by a client or by the end of the service.
-    Canceled,
-}
-
-impl JobState {
-    /// All states.
-    pub const ALL: [JobState; 6] = [
-        JobState::Queued,
-        JobState::Running,
-        JobState::Paused,
-        JobState::Succeeded,
-        JobState::Failed,
-        JobState::Canceled,
-    ];
-
-    /// Nothing more will happen.
-    pub fn has_ended(self) -> bool {
-        matches!(self, JobState::Succeeded | JobState::Failed | JobState::Canceled)
-    }
-
-    /// A stable word for clients.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            JobState::Queued => "queued",
-            JobState::Running => "running",
-            JobState::Paused => "paused",
-            JobState::Succeeded => "succeeded",
-            JobState::Failed => "failed",
-            JobState::Canceled => "canceled",
-        }
-    }
-}
-
-/// Whose turn comes sooner. Nothing waits for ever: what waits long counts as higher.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-#[schema(as = JobPriority)]
-pub enum Priority {
-    /// When nothing else waits.
-    Low,
-    /// As most.
-    #[default]
-    Normal,
-    /// Before the others.
-    High,
-}
-
-/// How a job ended, or stopped.
+/// How a job ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// Within its budget.
@@ -111,8 +28,31 @@ pub enum Outcome {
     Failed(String),
     /// On request.
     Canceled,
-    /// Not at all: it goes on later.
+}
+
+impl Outcome {
+    /// What went wrong.
+    pub fn error(&self) -> Option<&str> {
+        match self {
+            Outcome::Failed(error) => Some(error),
+            Outcome::Succeeded | Outcome::Canceled => None,
+        }
+    }
+}
+
+/// How a run of a job came to its end.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum RunEnd {
+    /// With the end of the job.
+    Ended(Outcome),
+    /// The job is to go on later.
     Interrupted,
+}
+
+impl From<Outcome> for RunEnd {
+    fn from(outcome: Outcome) -> RunEnd {
+        RunEnd::Ended(outcome)
+    }
 }
 
 /// How far a job is.
@@ -138,116 +78,56 @@ pub struct JobProgress {
     pub version: Option<u64>,
 }
 
-/// One job.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Job {
-    /// In the order of arrival.
-    pub number: JobNumber,
-    /// Whose light map it works on.
-    pub scene: SceneNumber,
-    /// What it does.
-    pub kind: JobKind,
-    /// Whose turn comes sooner.
-    pub priority: Priority,
-    /// Where it stands.
-    pub state: JobState,
-    /// A running job was asked to stop.
-    pub cancel_requested: bool,
-    /// A running job was asked to make room.
-    pub pause_requested: bool,
-    /// Its scene is being prepared: its turn comes when that is done. A restored scene is there.
-    #[serde(skip)]
-    pub waits_for_scene: bool,
-    /// The job that does this one's work with its own.
-    pub merged_into: Option<JobNumber>,
-    /// How far it is.
-    pub progress: JobProgress,
-    /// When it was accepted.
-    pub created_at: Timestamp,
-    /// When it began.
+/// What clients have asked of a job while it ran. Both may be asked; that it ends counts then.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Requests {
+    /// To make room until it is resumed.
+    pub pause: bool,
+    /// To stop.
+    pub cancel: bool,
+}
+
+/// Where a job stands, with what it needs there.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Stage {
+    /// Waits for its turn.
+    Waiting {
+        /// Starts of jobs when it joined the line: how long it waits. Where its scene has had a turn since, that counts.
+        turn: u64,
+        /// The job that does its work with its own.
+        merged_into: Option<JobNumber>,
+        /// Where it ran and was interrupted: since when.
+        started_at: Option<Timestamp>,
+    },
+    /// Runs.
+    Running {
+        /// Since when.
+        started_at: Timestamp,
+        /// What it has been asked for.
+        requests: Requests,
+    },
+    /// Waits for a client to resume it.
+    Paused {
+        /// Where it ran and was interrupted: since when.
+        started_at: Option<Timestamp>,
+    },
+    /// Nothing more will happen.
+    Ended(Ended),
+}
+
+/// The end of a job.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Ended {
+    /// How.
+    pub outcome: Outcome,
+    /// When it began, if it ever did.
     pub started_at: Option<Timestamp>,
     /// When it ended.
-    pub finished_at: Option<Timestamp>,
-    /// Why it failed.
-    pub error: Option<String>,
-    /// Starts of jobs when this one joined the queue: how long it waits.
-    #[serde(skip)]
-    pub arrived_turn: u64,
-}
-
-impl Job {
-    /// A job that waits.
-    pub fn new(number: JobNumber, scene: SceneNumber, kind: JobKind, priority: Priority, now: Timestamp) -> Job {
-        Job {
-            number,
-            scene,
-            kind,
-            priority,
-            state: JobState::Queued,
-            cancel_requested: false,
-            pause_requested: false,
-            waits_for_scene: false,
-            merged_into: None,
-            progress: JobProgress::default(),
-            created_at: now,
-            started_at: None,
-            finished_at: None,
-            error: None,
-            arrived_turn: 0,
-        }
-    }
-
-    /// Takes over how it ended.
-    pub fn end(&mut self, outcome: &Outcome, now: Timestamp) {
-        self.finished_at = Some(now);
-        self.progress.remaining_ms = None;
-        if let Some(started_at) = self.started_at {
-            self.progress.elapsed_ms = now.duration_since(started_at).as_millis().try_into().unwrap_or(0);
-        }
-        (self.state, self.error) = match outcome {
-            Outcome::Succeeded => (JobState::Succeeded, None),
-            Outcome::Failed(error) => (JobState::Failed, Some(error.clone())),
-            Outcome::Canceled | Outcome::Interrupted => (JobState::Canceled, None),
-        };
-        if self.state == JobState::Succeeded {
-            self.progress.fraction = 1.0;
-        }
-    }
-
-    /// Order of the jobs of one scene: edits as they came, then what works towards the target.
-    pub fn place(&self) -> (bool, JobNumber) {
-        (self.kind.is_for_target(), self.number)
-    }
-
-    /// Whether its turn may come: it waits, not for its scene, and no other job does its work.
-    pub fn is_in_line(&self) -> bool {
-        self.state == JobState::Queued && !self.waits_for_scene && self.merged_into.is_none()
-    }
-}
-
-/// How many jobs there may be.
-#[derive(Clone, Copy, Debug)]
-pub struct QueueLimits {
-    /// Queued or paused, of one scene.
-    pub queued_per_scene: usize,
-    /// Queued or paused, in all.
-    pub queued: usize,
-    /// Finished jobs that are remembered.
-    pub finished: usize,
-}
-
-/// A job was not accepted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Full {
-    /// The scene has its share.
-    #[error("{0} jobs of this scene are queued already")]
-    Scene(usize),
-    /// The service has its share.
-    #[error("{0} jobs are queued already")]
-    Service(usize),
-    /// The service is about to end.
-    #[error("the service takes no new jobs")]
-    Closed,
+    pub finished_at: Timestamp,
+    /// The job that did its work; it ended as that one did.
+    pub merged_into: Option<JobNumber>,
+    /// What it had been asked for.
+    pub requests: Requests,
 }
 
 /// What a request to cancel, pause or resume did.
@@ -261,4 +141,221 @@ pub enum Change {
     Done,
     /// The job runs and was asked to.
     Requested,
+}
+
+/// One job.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Job {
+    /// In the order of arrival.
+    pub number: JobNumber,
+    /// Whose light map it works on.
+    pub scene: SceneNumber,
+    /// What it does.
+    pub kind: JobKind,
+    /// Whose turn comes sooner.
+    pub priority: Priority,
+    /// Where it stands.
+    pub stage: Stage,
+    /// How far it is.
+    pub progress: JobProgress,
+    /// When it was accepted.
+    pub created_at: Timestamp,
+}
+
+impl Job {
+    /// A job that waits.
+    pub fn new(number: JobNumber, scene: SceneNumber, kind: JobKind, priority: Priority, now: Timestamp) -> Job {
+        let stage = Stage::Waiting { turn: 0, merged_into: None, started_at: None };
+        Job { number, scene, kind, priority, stage, progress: JobProgress::default(), created_at: now }
+    }
+
+    /// The word for where it stands.
+    pub fn state(&self) -> JobState {
+        match &self.stage {
+            Stage::Waiting { .. } => JobState::Queued,
+            Stage::Running { .. } => JobState::Running,
+            Stage::Paused { .. } => JobState::Paused,
+            Stage::Ended(Ended { outcome, .. }) => match outcome {
+                Outcome::Succeeded => JobState::Succeeded,
+                Outcome::Failed(_) => JobState::Failed,
+                Outcome::Canceled => JobState::Canceled,
+            },
+        }
+    }
+
+    /// It runs.
+    pub fn is_running(&self) -> bool {
+        matches!(self.stage, Stage::Running { .. })
+    }
+
+    /// Nothing more will happen.
+    pub fn has_ended(&self) -> bool {
+        self.ended().is_some()
+    }
+
+    /// Its end, where it has come.
+    pub fn ended(&self) -> Option<&Ended> {
+        match &self.stage {
+            Stage::Ended(ended) => Some(ended),
+            Stage::Waiting { .. } | Stage::Running { .. } | Stage::Paused { .. } => None,
+        }
+    }
+
+    /// When it began, the last time.
+    pub fn started_at(&self) -> Option<Timestamp> {
+        match self.stage {
+            Stage::Running { started_at, .. } => Some(started_at),
+            Stage::Waiting { started_at, .. } | Stage::Paused { started_at } => started_at,
+            Stage::Ended(Ended { started_at, .. }) => started_at,
+        }
+    }
+
+    /// The job that does its work with its own, or did.
+    pub fn merged_into(&self) -> Option<JobNumber> {
+        match self.stage {
+            Stage::Waiting { merged_into, .. } | Stage::Ended(Ended { merged_into, .. }) => merged_into,
+            Stage::Running { .. } | Stage::Paused { .. } => None,
+        }
+    }
+
+    /// What clients have asked of it and not taken back.
+    pub fn requests(&self) -> Requests {
+        match self.stage {
+            Stage::Waiting { .. } => Requests::default(),
+            Stage::Running { requests, .. } | Stage::Ended(Ended { requests, .. }) => requests,
+            Stage::Paused { .. } => Requests { pause: true, cancel: false },
+        }
+    }
+
+    /// Order of the jobs of one scene: edits as they came, then what works towards the target.
+    pub fn place(&self) -> (bool, JobNumber) {
+        (self.kind.is_for_target(), self.number)
+    }
+
+    /// Whether it waits and no other job does its work.
+    pub fn is_in_line(&self) -> bool {
+        matches!(self.stage, Stage::Waiting { merged_into: None, .. })
+    }
+
+    /// In line → running. False where it is not in line.
+    pub fn start(&mut self, now: Timestamp) -> bool {
+        let is_in_line = self.is_in_line();
+        if is_in_line {
+            self.stage = Stage::Running { started_at: now, requests: Requests::default() };
+            self.progress = JobProgress { version: self.progress.version, ..JobProgress::default() };
+        }
+        is_in_line
+    }
+
+    /// In line → merged into another job. False where it is not in line.
+    pub fn merge(&mut self, other: JobNumber) -> bool {
+        match &mut self.stage {
+            Stage::Waiting { merged_into: into @ None, .. } => {
+                *into = Some(other);
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// Takes it out of line at once; asks one that runs to make room.
+    pub fn pause(&mut self) -> Change {
+        match &mut self.stage {
+            Stage::Waiting { started_at, .. } => {
+                self.stage = Stage::Paused { started_at: *started_at };
+                Change::Done
+            }
+            Stage::Running { requests, .. } => {
+                requests.pause = true;
+                Change::Requested
+            }
+            Stage::Paused { .. } => Change::Done,
+            Stage::Ended(_) => Change::Ended,
+        }
+    }
+
+    /// Puts it in line again, after so many starts of jobs. One that runs and was asked to make room goes on as soon as it
+    /// has.
+    pub fn resume(&mut self, turn: u64) -> Change {
+        match &mut self.stage {
+            Stage::Paused { started_at } => {
+                self.stage = Stage::Waiting { turn, merged_into: None, started_at: *started_at };
+            }
+            Stage::Running { requests, .. } => requests.pause = false,
+            Stage::Waiting { .. } => {}
+            Stage::Ended(_) => return Change::Ended,
+        }
+        Change::Done
+    }
+
+    /// Ends it at once; asks one that runs to stop.
+    pub fn cancel(&mut self, now: Timestamp) -> Change {
+        match &mut self.stage {
+            Stage::Waiting { .. } | Stage::Paused { .. } => {
+                self.end(Outcome::Canceled, now);
+                Change::Done
+            }
+            Stage::Running { requests, .. } => {
+                requests.cancel = true;
+                Change::Requested
+            }
+            Stage::Ended(_) => Change::Ended,
+        }
+    }
+
+    /// The end of its run. One that is interrupted waits again, is paused or ends, as it was asked to.
+    pub fn stop(&mut self, end: &RunEnd, now: Timestamp) {
+        let Stage::Running { started_at, requests } = self.stage else { return };
+        let started_at = Some(started_at);
+        match end {
+            RunEnd::Ended(outcome) => self.end(outcome.clone(), now),
+            RunEnd::Interrupted if requests.cancel => self.end(Outcome::Canceled, now),
+            RunEnd::Interrupted if requests.pause => self.stage = Stage::Paused { started_at },
+            RunEnd::Interrupted => self.stage = Stage::Waiting { turn: 0, merged_into: None, started_at },
+        }
+    }
+
+    /// The end of the run of the job that does this one's work, with its progress: this one ends as that does, or is in line
+    /// again.
+    pub fn stop_merged(&mut self, progress: JobProgress, end: &RunEnd, now: Timestamp) {
+        let Stage::Waiting { merged_into, .. } = &mut self.stage else { return };
+        match end {
+            RunEnd::Interrupted | RunEnd::Ended(Outcome::Canceled) => *merged_into = None,
+            RunEnd::Ended(outcome) => {
+                self.progress = progress;
+                self.end(outcome.clone(), now);
+            }
+        }
+    }
+
+    /// Ends it, wherever it stands. The first end counts. One that is canceled ends for itself, whatever did its work.
+    pub fn end(&mut self, outcome: Outcome, now: Timestamp) {
+        if self.has_ended() {
+            return;
+        }
+        let (started_at, requests) = (self.started_at(), self.requests());
+        let merged_into = self.merged_into().filter(|_| outcome != Outcome::Canceled);
+        self.progress.remaining_ms = None;
+        if let Some(started_at) = started_at {
+            self.progress.elapsed_ms = now.duration_since(started_at).as_millis().try_into().unwrap_or(0);
+        }
+        if outcome == Outcome::Succeeded {
+            self.progress.fraction = 1.0;
+        }
+        self.stage = Stage::Ended(Ended { outcome, started_at, finished_at: now, merged_into, requests });
+    }
+
+    /// Puts a job of an earlier life in line, after so many starts of jobs: whatever ran then runs no more.
+    pub fn restore(&mut self, turn: u64) {
+        match &mut self.stage {
+            Stage::Running { requests: Requests { pause: true, .. }, .. } => {
+                self.stage = Stage::Paused { started_at: None };
+            }
+            Stage::Running { .. } => self.stage = Stage::Waiting { turn, merged_into: None, started_at: None },
+            Stage::Waiting { started_at, .. } => {
+                self.stage = Stage::Waiting { turn, merged_into: None, started_at: *started_at };
+            }
+            Stage::Paused { .. } | Stage::Ended(_) => {}
+        }
+    }
 }

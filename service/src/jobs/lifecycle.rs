@@ -6,13 +6,13 @@ use jiff::Timestamp;
 use rayon::ThreadPool;
 
 use super::State;
-use super::queue::{Change, Full, Job, JobNumber, JobState, Outcome, SceneNumber};
+use super::queue::{Change, Ended, Full, Job, JobNumber, Outcome, RunEnd, SceneNumber};
 use super::stop::Asked;
 use crate::metrics::{JobEnd, Metrics};
 use crate::state::App;
 use crate::store::StoreError;
 use crate::store::records::JobRecord;
-use crate::store::scene::SceneEntry;
+use crate::store::scene::{SceneEntry, SceneState};
 
 /// A promised place in the queue, given back where nothing comes of it.
 pub(crate) struct Ticket {
@@ -29,6 +29,9 @@ impl Ticket {
         let app = self.app.clone();
         let mut state = app.jobs.lock();
         state.handle(&app, scene.id.clone(), Some(scene.clone()), record);
+        if scene.state() == SceneState::Preparing {
+            state.queue.scene_preparing(scene.number);
+        }
         state.queue.push(record.job.clone());
         accept();
         state.supersede(scene.number);
@@ -65,7 +68,7 @@ impl App {
         state.handle(self, self.ids.scene(record.job.scene), scene, record);
         state.queue.restore(record.job.clone());
         state.tell(self, number);
-        if record.job.state.has_ended()
+        if record.job.has_ended()
             && let Some(handle) = state.handles.get(&number)
         {
             handle.events.close();
@@ -91,11 +94,10 @@ impl App {
         let mut state = self.jobs.lock();
         state.closed = true;
         state.idle.iter().for_each(|refining| refining.ask(Asked::Interrupt));
-        let open: Vec<JobNumber> =
-            state.queue.iter().filter(|job| !job.state.has_ended()).map(|job| job.number).collect();
+        let open: Vec<JobNumber> = state.queue.iter().filter(|job| !job.has_ended()).map(|job| job.number).collect();
         for number in open {
             if !self.store.is_durable() {
-                self.cancel_now(&mut state, number);
+                self.cancel_now(&mut state, number, Timestamp::now());
             } else if let Some(handle) = state.handles.get(&number) {
                 handle.stop.ask(Asked::Interrupt);
             }
@@ -106,7 +108,7 @@ impl App {
     pub(crate) fn cancel_scene(&self, scene: &SceneEntry) {
         let mut state = self.jobs.lock();
         for job in state.queue.open_of(scene.number) {
-            self.cancel_now(&mut state, job);
+            self.cancel_now(&mut state, job, Timestamp::now());
         }
         state.queue.forget_scene(scene.number);
     }
@@ -122,30 +124,29 @@ impl App {
     pub(crate) fn fail_jobs_of(&self, scene: &SceneEntry, error: &str) {
         let mut state = self.jobs.lock();
         for number in state.queue.open_of(scene.number) {
-            let outcome = Outcome::Failed(error.to_owned());
-            let kept = self.keep_change(&state, number, |job| job.end(&outcome, Timestamp::now()));
+            let now = Timestamp::now();
+            let kept = self.keep_change(&state, number, |job| job.end(Outcome::Failed(error.to_owned()), now));
             kept.unwrap_or_else(|error| self.note_unsaved(scene, &error));
-            if state.queue.fail(number, error, Timestamp::now()) {
+            if state.queue.fail(number, error, now) {
                 state.ended(self, number);
             }
         }
+        state.queue.forget_scene(scene.number);
     }
 
     /// Cancels a job. A running one stops soon; a queued one is canceled, and what its edit changed is published
     /// where no job that is still open will do so.
     pub(crate) fn cancel_job(&self, number: JobNumber) -> Result<Change, StoreError> {
         let mut state = self.jobs.lock();
-        self.keep_change(&state, number, |job| match job.state {
-            JobState::Running => job.cancel_requested = true,
-            _ => job.end(&Outcome::Canceled, Timestamp::now()),
-        })?;
-        Ok(self.cancel_now(&mut state, number))
+        let now = Timestamp::now();
+        self.keep_change(&state, number, |job| _ = job.cancel(now))?;
+        Ok(self.cancel_now(&mut state, number, now))
     }
 
     /// Pauses a job: one that runs makes room soon.
     pub(crate) fn pause_job(&self, number: JobNumber) -> Result<Change, StoreError> {
         let mut state = self.jobs.lock();
-        self.keep_change(&state, number, |job| job.pause_requested = true)?;
+        self.keep_change(&state, number, |job| _ = job.pause())?;
         let change = state.queue.pause(number);
         if change == Change::Requested
             && let Some(handle) = state.handles.get(&number)
@@ -159,9 +160,7 @@ impl App {
     /// Puts a paused job in line again.
     pub(crate) fn resume_job(self: &Arc<App>, number: JobNumber) -> Result<Change, StoreError> {
         let mut state = self.jobs.lock();
-        self.keep_change(&state, number, |job| {
-            (job.pause_requested, job.state) = (false, JobState::Queued);
-        })?;
+        self.keep_change(&state, number, |job| _ = job.resume(0))?;
         let change = state.queue.resume(number);
         state.tell(self, number);
         self.start_what_can(&mut state);
@@ -170,15 +169,15 @@ impl App {
 
     /// Keeps a change before it is made. Rare and small: under the queue's lock, so that nothing comes in between.
     fn keep_change(&self, state: &State, number: JobNumber, change: impl FnOnce(&mut Job)) -> Result<(), StoreError> {
-        let Some(mut job) = state.queue.get(number).filter(|job| !job.state.has_ended()).cloned() else {
+        let Some(mut job) = state.queue.get(number).filter(|job| !job.has_ended()).cloned() else {
             return Ok(());
         };
         change(&mut job);
         state.record(job).map_or(Ok(()), |record| self.store.job_changed(&record))
     }
 
-    fn cancel_now(&self, state: &mut State, number: JobNumber) -> Change {
-        let change = state.queue.cancel(number, Timestamp::now());
+    fn cancel_now(&self, state: &mut State, number: JobNumber, now: Timestamp) -> Change {
+        let change = state.queue.cancel(number, now);
         match change {
             Change::Done => state.ended(self, number),
             Change::Requested => {
@@ -191,46 +190,54 @@ impl App {
         change
     }
 
-    /// Takes over how a job ended, once that and its light are kept.
+    /// Takes over the end of a job's run, once that and its light are kept.
     pub(super) fn finish_job(
         self: &Arc<App>,
         number: JobNumber,
         scene: &SceneEntry,
-        outcome: &Outcome,
+        end: &RunEnd,
         pool: Arc<ThreadPool>,
     ) {
         let now = Timestamp::now();
-        let kept = match self.store.is_durable() && *outcome != Outcome::Interrupted {
-            true => self.keep_end(number, scene, outcome, now),
+        let kept = match self.store.is_durable() {
+            true => self.keep_end(number, scene, end, now),
             false => Vec::new(),
         };
         let mut state = self.jobs.lock();
-        let changed = state.queue.finish(number, outcome, now);
-        // One that was merged and canceled while its end was being kept ended as its client was told.
-        for job in kept.iter().filter(|job| !changed.contains(job)) {
+        let changed = state.queue.finish(number, end, now);
+        // One that was merged and canceled while its end was being kept ended as its client was told; one that made way and was
+        // canceled just then has ended.
+        let has_ended = |job: &JobNumber| state.queue.get(*job).is_some_and(Job::has_ended);
+        let canceled =
+            changed.iter().filter(|job| *end == RunEnd::Interrupted && !kept.contains(job) && has_ended(job));
+        for job in kept.iter().filter(|job| !changed.contains(job)).chain(canceled) {
             let record = state.queue.get(*job).cloned().and_then(|job| state.record(job));
             if let Some(Err(error)) = record.map(|record| self.store.job_changed(&record)) {
                 self.note_unsaved(scene, &error);
             }
         }
-        for job in changed {
-            state.queue.get(job).into_iter().for_each(|ended| count_end(&self.metrics, ended));
-            match state.queue.get(job).is_some_and(|job| job.state.has_ended()) {
-                true => state.ended(self, job),
-                false => state.tell(self, job),
+        for number in changed {
+            let Some(job) = state.queue.get(number) else { continue };
+            count_end(&self.metrics, job);
+            match job.has_ended() {
+                true => state.ended(self, number),
+                false => state.tell(self, number),
             }
         }
         state.pools.push(pool);
         self.start_what_can(&mut state);
     }
 
-    /// Keeps the end of a job and of those merged into it, with the light; answers which.
-    fn keep_end(&self, number: JobNumber, scene: &SceneEntry, outcome: &Outcome, now: Timestamp) -> Vec<JobNumber> {
+    /// Keeps the end of a job and of those merged into it, with the light; answers which have ended.
+    fn keep_end(&self, number: JobNumber, scene: &SceneEntry, end: &RunEnd, now: Timestamp) -> Vec<JobNumber> {
         let records: Vec<JobRecord> = {
             let state = self.jobs.lock();
-            let ended = state.queue.preview_finish(number, outcome, now);
+            let ended = state.queue.preview_finish(number, end, now);
             ended.into_iter().filter_map(|job| state.record(job)).collect()
         };
+        if records.is_empty() {
+            return Vec::new();
+        }
         // The light goes with the first: after a restart no job has ended whose light is not there.
         let mut light = (!scene.is_deleted()).then(|| scene.light_record());
         for record in &records {
@@ -247,11 +254,11 @@ impl App {
 
 fn count_end(metrics: &Metrics, job: &Job) {
     // Jobs that did not run themselves have no duration.
-    let (Some(started_at), Some(finished_at)) = (job.started_at, job.finished_at) else { return };
+    let Some(Ended { started_at: Some(started_at), finished_at, .. }) = job.ended() else { return };
     metrics.job_ended(&JobEnd {
         kind: job.kind,
-        state: job.state,
+        state: job.state(),
         wait_seconds: started_at.duration_since(job.created_at).as_secs_f64(),
-        seconds: finished_at.duration_since(started_at).as_secs_f64(),
+        seconds: finished_at.duration_since(*started_at).as_secs_f64(),
     });
 }

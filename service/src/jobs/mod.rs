@@ -1,4 +1,4 @@
-//! Jobs: [`queue`] is their state, [`scheduler`] decides, `worker` runs, `observer` speaks for the service while
+//! Jobs: [`job`] is one of them with its steps, [`queue`] the state of all, [`scheduler`] decides, `worker` runs, `observer` speaks for the service while
 //! the engine computes, `lifecycle` is how jobs come, change and go, `target` what a scene works towards, `idle` what happens while there are none.
 
 pub(crate) mod budget;
@@ -15,8 +15,11 @@ mod start;
 mod stop;
 mod target;
 mod telling;
+pub mod words;
 pub(crate) mod worker;
 
+#[cfg(test)]
+mod model_tests;
 #[cfg(test)]
 mod tests;
 

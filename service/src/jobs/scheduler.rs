@@ -3,7 +3,7 @@
 use std::cmp::Reverse;
 use std::collections::HashMap;
 
-use super::queue::{Job, JobKind, JobNumber, JobState, Priority, Queue, SceneNumber};
+use super::queue::{Job, JobKind, JobNumber, Priority, Queue, SceneNumber, Stage};
 
 /// What to do next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,7 +29,7 @@ pub fn tick(queue: &Queue, slots: usize) -> Decision {
     };
     // The first in line of each scene, with the highest priority of all that wait behind it.
     let mut first_of: HashMap<SceneNumber, (&Job, Priority)> = HashMap::new();
-    for job in queue.iter().filter(|job| job.is_in_line() && queue.running_on(job.scene).is_none()) {
+    for job in queue.in_line().filter(|job| queue.running_on(job.scene).is_none()) {
         let (first, priority) = first_of.entry(job.scene).or_insert((job, job.priority));
         if job.place() < first.place() {
             *first = job;
@@ -41,24 +41,32 @@ pub fn tick(queue: &Queue, slots: usize) -> Decision {
         .filter(|(job, priority)| is_free(job, *priority))
         .min_by_key(|(job, priority)| {
             let last_turn = queue.last_turn(job.scene);
-            let waited = queue.turn() - last_turn.max(job.arrived_turn);
+            let waited = queue.turn() - last_turn.max(joined(job));
             (Reverse(*priority as u64 + waited / AGEING_TURNS), last_turn, job.number)
         })
         .map_or(Decision::Wait, |(job, _)| Decision::Start(job.number))
 }
 
+/// Starts when a job joined the line; where it does not wait, none.
+fn joined(job: &Job) -> u64 {
+    match job.stage {
+        Stage::Waiting { turn, .. } => turn,
+        Stage::Running { .. } | Stage::Paused { .. } | Stage::Ended(_) => 0,
+    }
+}
+
 /// Running jobs that are to make room for a scene that waits, once they have had their share: they work towards targets, and
 /// can go on later from where they are.
 pub fn make_room(queue: &Queue) -> Vec<JobNumber> {
-    let waiting = queue.iter().filter(|job| job.is_in_line() && queue.running_on(job.scene).is_none());
+    let waiting = queue.in_line().filter(|job| queue.running_on(job.scene).is_none());
     let Some(priority) = waiting.map(|job| job.priority).max() else { return Vec::new() };
     let gives_way = |job: &&Job| job.kind.is_for_target() && job.priority <= priority;
-    queue.iter().filter(|job| job.state == JobState::Running).filter(gives_way).map(|job| job.number).collect()
+    queue.iter().filter(|job| job.is_running()).filter(gives_way).map(|job| job.number).collect()
 }
 
 /// Whether nothing runs and nothing could.
 pub fn is_idle(queue: &Queue) -> bool {
-    queue.running() == 0 && !queue.iter().any(Job::is_in_line)
+    queue.running() == 0 && queue.in_line().next().is_none()
 }
 
 /// A scene on which idle time can be spent: its light is up to date.

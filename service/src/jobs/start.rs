@@ -56,7 +56,7 @@ impl State {
     /// Tells the job of a scene where an edit waits behind it, and whether that is the next step of the same drag.
     pub(super) fn supersede(&self, scene: SceneNumber) {
         let Some(running) = self.queue.running_on(scene) else { return };
-        let edits = self.queue.iter().filter(|job| job.scene == scene && job.kind == JobKind::Edit && job.is_in_line());
+        let edits = self.queue.in_line().filter(|job| job.scene == scene && job.kind == JobKind::Edit);
         let next = edits.min_by_key(|job| job.number).and_then(|job| self.handles.get(&job.number));
         if let Some(next) = next
             && let Some(handle) = self.handles.get(&running)
@@ -80,8 +80,8 @@ impl State {
         let mut edits = merge::simplify(upto(0, last));
         // Where there is no light to go on from, one bake lights them all.
         let bakes = scene.needs_bake();
-        let behind = self.queue.iter().filter(|other| other.scene == job.scene && other.number > first);
-        for other in behind.filter(|other| other.is_in_line() && other.kind == JobKind::Edit) {
+        let behind = self.queue.in_line().filter(|other| other.scene == job.scene && other.number > first);
+        for other in behind.filter(|other| other.kind == JobKind::Edit) {
             let Some(handle) = self.handles.get(&other.number) else { break };
             let next = upto(last, handle.spec.sequence);
             let apart = edits.len() + merge::count(&next);

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::budget::JobBudget;
-use super::queue::{JobKind, JobState, Priority};
+use super::queue::{JobKind, Priority};
 use super::seeds::next_seed;
 use super::stop::Asked;
 use super::{JobSpec, new_record};
@@ -27,7 +27,7 @@ impl App {
                 };
                 let Some(handle) = state.handles.get_mut(&number) else { continue };
                 handle.spec.budget = target;
-                if job.state == JobState::Running {
+                if job.is_running() {
                     handle.stop.ask(Asked::NewerEdit);
                 }
                 if let Some(Err(error)) = state.record(job).map(|record| self.store.job_changed(&record)) {

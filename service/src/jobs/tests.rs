@@ -3,7 +3,8 @@
 use jiff::Timestamp;
 
 use super::queue::{
-    Change, Full, Job, JobKind, JobNumber, JobProgress, JobState, Outcome, Priority, Queue, QueueLimits, SceneNumber,
+    Change, Ended, Full, Job, JobKind, JobNumber, JobProgress, JobState, Outcome, Priority, Queue, QueueLimits,
+    Requests, RunEnd, SceneNumber, Stage,
 };
 use super::scheduler::{Decision, Settled, Spell, idle, is_idle, make_room, tick};
 
@@ -24,8 +25,8 @@ fn edit(queue: &mut Queue, scene: SceneNumber) -> JobNumber {
 }
 
 /// Ends a job; whether that was its next step.
-fn finish(queue: &mut Queue, job: JobNumber, outcome: &Outcome) -> bool {
-    !queue.finish(job, outcome, NOW).is_empty()
+fn finish(queue: &mut Queue, job: JobNumber, end: impl Into<RunEnd>) -> bool {
+    !queue.finish(job, &end.into(), NOW).is_empty()
 }
 
 /// Starts what the scheduler says until it waits; answers what it started.
@@ -56,10 +57,10 @@ fn a_life_of_a_queue() {
          3 scene 2 bake running\n\
          4 scene 1 edit canceled\n"
     );
-    assert!(finish(&mut queue, 2, &Outcome::Canceled));
-    assert!(finish(&mut queue, 3, &Outcome::Failed("the engine broke".to_owned())));
+    assert!(finish(&mut queue, 2, Outcome::Canceled));
+    assert!(finish(&mut queue, 3, Outcome::Failed("the engine broke".to_owned())));
     assert_eq!(start_all(&mut queue, 2), [1]);
-    assert!(finish(&mut queue, 1, &Outcome::Succeeded));
+    assert!(finish(&mut queue, 1, Outcome::Succeeded));
     assert_eq!(
         queue.to_string(),
         "1 scene 1 bake succeeded 100 %\n\
@@ -75,14 +76,14 @@ fn what_works_towards_the_target_goes_on_behind_edits() {
     let bake = push(&mut queue, 1, JobKind::Bake, Priority::High).unwrap();
     assert_eq!(start_all(&mut queue, 2), [bake]);
     let edits = [edit(&mut queue, 1), edit(&mut queue, 1)];
-    assert!(finish(&mut queue, bake, &Outcome::Interrupted));
+    assert!(finish(&mut queue, bake, RunEnd::Interrupted));
     for next in edits {
         assert_eq!((queue.current(1), start_all(&mut queue, 2)), (Some(next), vec![next]));
-        assert!(finish(&mut queue, next, &Outcome::Succeeded));
+        assert!(finish(&mut queue, next, Outcome::Succeeded));
     }
     assert!(queue.has_target_work(1) && !queue.has_target_work(2));
     assert_eq!(start_all(&mut queue, 2), [bake]);
-    assert!(finish(&mut queue, bake, &Outcome::Succeeded));
+    assert!(finish(&mut queue, bake, Outcome::Succeeded));
     assert!(!queue.has_target_work(1));
 }
 
@@ -100,7 +101,7 @@ fn what_is_urgent_runs_beside_full_slots_and_others_are_made_room_for() {
     push(&mut queue, 6, JobKind::Bake, Priority::High).unwrap();
     assert_eq!(start_all(&mut queue, 2), [urgent], "one, and no bake");
     assert_eq!(make_room(&queue), [bake], "edits run to their end");
-    assert!(finish(&mut queue, bake, &Outcome::Interrupted) && finish(&mut queue, urgent, &Outcome::Succeeded));
+    assert!(finish(&mut queue, bake, RunEnd::Interrupted) && finish(&mut queue, urgent, Outcome::Succeeded));
     assert_eq!(start_all(&mut queue, 2).first(), Some(&second));
 }
 
@@ -114,7 +115,7 @@ fn a_long_queue_of_one_scene_does_not_starve_another() {
     while let Decision::Start(job) = tick(&queue, 1) {
         queue.start(job, NOW);
         order.push(queue.get(job).map(|job| job.scene).unwrap());
-        finish(&mut queue, job, &Outcome::Succeeded);
+        finish(&mut queue, job, Outcome::Succeeded);
     }
     assert_eq!(order, [1, 2, 3, 1, 1]);
 }
@@ -123,12 +124,12 @@ fn a_long_queue_of_one_scene_does_not_starve_another() {
 fn impossible_steps_are_refused() {
     let mut queue = queue(10, 10, 10);
     let (first, second) = (edit(&mut queue, 1), edit(&mut queue, 1));
-    assert!(!finish(&mut queue, first, &Outcome::Succeeded), "it does not run");
+    assert!(!finish(&mut queue, first, Outcome::Succeeded), "it does not run");
     assert!(queue.start(first, NOW));
     assert!(!queue.start(first, NOW), "it runs already");
     assert!(!queue.start(second, NOW), "its scene is busy");
-    assert!(finish(&mut queue, first, &Outcome::Succeeded));
-    assert!(!finish(&mut queue, first, &Outcome::Failed("late".to_owned())), "it has ended");
+    assert!(finish(&mut queue, first, Outcome::Succeeded));
+    assert!(!finish(&mut queue, first, Outcome::Failed("late".to_owned())), "it has ended");
     assert_eq!(queue.cancel(first, NOW), Change::Ended);
     assert_eq!(queue.cancel(99, NOW), Change::Unknown);
     queue.report(first, JobProgress::default());
@@ -181,10 +182,10 @@ fn whatever_happens_the_rules_hold() {
                     queue.cancel(any, NOW);
                 }
                 4 => {
-                    finish(&mut queue, any, &Outcome::Failed("injected".to_owned()));
+                    finish(&mut queue, any, Outcome::Failed("injected".to_owned()));
                 }
                 _ => {
-                    finish(&mut queue, any, &Outcome::Succeeded);
+                    finish(&mut queue, any, Outcome::Succeeded);
                 }
             }
             forgotten += queue.take_forgotten().len() as u64;
@@ -194,28 +195,27 @@ fn whatever_happens_the_rules_hold() {
         // In the end everything ends.
         for _ in 0..100 {
             for job in start_all(&mut queue, 2) {
-                finish(&mut queue, job, &Outcome::Succeeded);
+                finish(&mut queue, job, Outcome::Succeeded);
             }
             for scene in 0..4 {
-                queue.running_on(scene).map(|job| finish(&mut queue, job, &Outcome::Canceled));
+                queue.running_on(scene).map(|job| finish(&mut queue, job, Outcome::Canceled));
             }
         }
-        assert!(queue.iter().all(|job| job.state.has_ended()), "{queue}");
+        assert!(queue.iter().all(|job| job.has_ended()), "{queue}");
     }
 }
 
 fn check(queue: &Queue) {
-    let count = |state: JobState| queue.iter().filter(|job| job.state == state).count();
+    let count = |state: JobState| queue.iter().filter(|job| job.state() == state).count();
     assert!(count(JobState::Running) <= 2 && count(JobState::Running) == queue.running(), "{queue}");
     assert!(count(JobState::Queued) <= 8, "{queue}");
-    assert!(queue.iter().filter(|job| job.state.has_ended()).count() <= 5, "{queue}");
+    assert!(queue.iter().filter(|job| job.has_ended()).count() <= 5, "{queue}");
     for scene in 0..4 {
-        let of_scene = |state| queue.iter().filter(|job| job.scene == scene && job.state == state).count();
+        let of_scene = |state| queue.iter().filter(|job| job.scene == scene && job.state() == state).count();
         assert!(of_scene(JobState::Running) <= 1 && of_scene(JobState::Queued) <= 3, "{queue}");
         assert_eq!(queue.open_of(scene).len(), of_scene(JobState::Running) + of_scene(JobState::Queued), "{queue}");
     }
     for job in queue.iter() {
-        assert_eq!(job.finished_at.is_some(), job.state.has_ended(), "{queue}");
         assert!((0.0..=1.0).contains(&job.progress.fraction));
     }
 }
@@ -232,15 +232,18 @@ fn merged_jobs_end_as_the_one_that_does_their_work() {
     assert_eq!(queue.to_string(), "1 scene 1 edit queued (in 2)\n2 scene 1 edit running\n3 scene 2 edit running\n");
     // Interrupted: both wait again, in their old order.
     assert_eq!(queue.pause(second), Change::Requested);
-    assert_eq!(queue.finish(second, &Outcome::Interrupted, NOW), [second, first]);
+    assert_eq!(queue.finish(second, &RunEnd::Interrupted, NOW), [second, first]);
     assert_eq!(queue.to_string(), "1 scene 1 edit queued\n2 scene 1 edit paused\n3 scene 2 edit running\n");
     assert_eq!(queue.resume(second), Change::Done);
     assert_eq!(start_all(&mut queue, 9), [first]);
     assert!(queue.merge(second, first));
-    let preview: Vec<_> =
-        queue.preview_finish(first, &Outcome::Succeeded, NOW).iter().map(|job| (job.number, job.state)).collect();
+    let preview: Vec<_> = queue
+        .preview_finish(first, &Outcome::Succeeded.into(), NOW)
+        .iter()
+        .map(|job| (job.number, job.state()))
+        .collect();
     assert_eq!(preview, [(first, JobState::Succeeded), (second, JobState::Succeeded)]);
-    assert!(finish(&mut queue, first, &Outcome::Succeeded));
+    assert!(finish(&mut queue, first, Outcome::Succeeded));
     assert_eq!(
         queue.to_string(),
         "1 scene 1 edit succeeded 100 %\n2 scene 1 edit succeeded (in 1) 100 %\n3 scene 2 edit running\n"
@@ -270,7 +273,7 @@ fn high_priorities_go_first_but_nothing_waits_for_ever() {
         push(&mut queue, 100 + starts, JobKind::Edit, Priority::High).unwrap();
         let Decision::Start(job) = tick(&queue, 1) else { panic!("something waits") };
         queue.start(job, NOW);
-        finish(&mut queue, job, &Outcome::Succeeded);
+        finish(&mut queue, job, Outcome::Succeeded);
         if job == low {
             break;
         }
@@ -283,18 +286,31 @@ fn high_priorities_go_first_but_nothing_waits_for_ever() {
 #[test]
 fn jobs_of_an_earlier_life_wait_again() {
     let mut queue = queue(10, 10, 10);
-    for (number, state) in (1..).zip(JobState::ALL) {
-        let mut job = Job::new(number, 1, JobKind::Edit, Priority::Normal, NOW);
-        (job.state, job.pause_requested) = (state, state == JobState::Paused);
-        queue.restore(job);
+    let ended = |outcome| {
+        let requests = Requests::default();
+        Stage::Ended(Ended { outcome, started_at: Some(NOW), finished_at: NOW, merged_into: Some(1), requests })
+    };
+    let stages = [
+        Stage::Waiting { turn: 9, merged_into: Some(2), started_at: Some(NOW) },
+        Stage::Running { started_at: NOW, requests: Requests::default() },
+        Stage::Paused { started_at: None },
+        ended(Outcome::Succeeded),
+        ended(Outcome::Failed("it broke".to_owned())),
+        ended(Outcome::Canceled),
+        Stage::Running { started_at: NOW, requests: Requests { pause: true, cancel: false } },
+    ];
+    for (number, stage) in (1..).zip(stages) {
+        queue.restore(Job { stage, ..Job::new(number, 1, JobKind::Edit, Priority::Normal, NOW) });
     }
     assert_eq!(
         queue.to_string(),
-        "1 scene 1 edit queued\n2 scene 1 edit queued\n3 scene 1 edit paused\n4 scene 1 edit succeeded\n\
-         5 scene 1 edit failed\n6 scene 1 edit canceled\n"
+        "1 scene 1 edit queued\n2 scene 1 edit queued\n3 scene 1 edit paused\n4 scene 1 edit succeeded (in 1)\n\
+         5 scene 1 edit failed (in 1): it broke\n6 scene 1 edit canceled (in 1)\n7 scene 1 edit paused\n"
     );
-    assert_eq!(queue.promise(1), Ok(7));
-    assert_eq!(queue.waiting(), 4);
+    let started: Vec<_> = queue.iter().filter_map(|job| job.started_at().map(|_| job.number)).collect();
+    assert_eq!(started, [1, 4, 5, 6], "what ran then runs no more");
+    assert_eq!(queue.promise(1), Ok(8));
+    assert_eq!(queue.waiting(), 5);
 }
 
 #[test]
@@ -306,7 +322,7 @@ fn only_what_runs_or_could_run_keeps_the_service_busy() {
     queue.pause(second);
     assert_eq!(start_all(&mut queue, 1), [first]);
     assert!(!is_idle(&queue), "one runs");
-    finish(&mut queue, first, &Outcome::Succeeded);
+    finish(&mut queue, first, Outcome::Succeeded);
     assert!(is_idle(&queue), "a paused one does not count");
     queue.resume(second);
     assert!(!is_idle(&queue));

@@ -8,7 +8,7 @@ use rebake_core::edit::Cost;
 
 use super::merge::dragged_by;
 use super::observer::{JobObserver, Piece, Yields};
-use super::queue::{JobKind, JobNumber, Outcome};
+use super::queue::{JobKind, JobNumber, Outcome, RunEnd};
 use super::seeds::mixed;
 use super::stop::{Asked, Stop};
 use super::{JobSpec, merge};
@@ -39,18 +39,19 @@ pub(crate) fn spawn(app: Arc<App>, run: Run, pool: &Arc<ThreadPool>) {
         let _in_span = span.entered();
         tracing::info!(samples = run.spec.budget.samples_per_element, seed = run.spec.seed, "started");
         let started = std::time::Instant::now();
-        let outcome = catching(|| light(&app, &run)).unwrap_or_else(|panic| Outcome::Failed(panic.to_string()));
-        if let Outcome::Failed(error) = &outcome {
+        let end = catching(|| light(&app, &run));
+        let end = end.unwrap_or_else(|panic| RunEnd::Ended(Outcome::Failed(panic.to_string())));
+        if let RunEnd::Ended(Outcome::Failed(error)) = &end {
             tracing::error!(error, "failed");
             run.scene.distrust();
         }
         let ms = started.elapsed().as_millis() as u64;
-        tracing::info!(?outcome, ms, version = run.scene.published().version, "ended");
+        tracing::info!(?end, ms, version = run.scene.published().version, "ended");
         let ended =
-            Ended { scene: run.scene.clone(), sequence: run.spec.sequence, asks_for_more: run.asks_for_more(&outcome) };
+            Ended { scene: run.scene.clone(), sequence: run.spec.sequence, asks_for_more: run.asks_for_more(&end) };
         let job = run.job;
         drop(run);
-        app.finish_job(job, &ended.scene, &outcome, its_pool);
+        app.finish_job(job, &ended.scene, &end, its_pool);
         after(&app, ended);
     });
 }
@@ -58,9 +59,9 @@ pub(crate) fn spawn(app: Arc<App>, run: Run, pool: &Arc<ThreadPool>) {
 impl Run {
     /// Whether there may be more to do for the scene's target than was known when the job came: an edit has left its noise, or
     /// the target is another one by now.
-    fn asks_for_more(&self, outcome: &Outcome) -> bool {
+    fn asks_for_more(&self, end: &RunEnd) -> bool {
         let is_new = self.scene.target() != Some(self.spec.budget);
-        *outcome == Outcome::Succeeded && (!self.kind.is_for_target() || is_new)
+        *end == RunEnd::Ended(Outcome::Succeeded) && (!self.kind.is_for_target() || is_new)
     }
 }
 
@@ -104,7 +105,7 @@ fn after(app: &Arc<App>, ended: Ended) {
 }
 
 /// Brings the light map up to date with the job's edit.
-fn light(app: &Arc<App>, run: &Run) -> Outcome {
+fn light(app: &Arc<App>, run: &Run) -> RunEnd {
     let Run { job, kind, scene, stop, accepted, spec } = run;
     let mut observer = JobObserver::new(app, scene, *job, spec.budget, (stop, *accepted));
     if app.may_publish(scene)
@@ -121,7 +122,7 @@ fn light(app: &Arc<App>, run: &Run) -> Outcome {
             let result = app.config.engine.bake(&world, &spec.engine_budget(), spec.seed, &observer);
             match take_over_end(&observer, scene, (shown, Samples::Fresh), result) {
                 Ok(_) => done(run),
-                Err(outcome) => outcome,
+                Err(end) => end,
             }
         }
         Work::Update(mut map, due) => {
@@ -133,12 +134,12 @@ fn light(app: &Arc<App>, run: &Run) -> Outcome {
                 observer.begin(Piece { sequence: step.sequence, slots: step.slots, floor, yields, before: 0 });
                 match light_step(run, &observer, map, &step, (i, i == last)) {
                     Ok(lit) => map = lit,
-                    Err(outcome) => return outcome,
+                    Err(end) => return end,
                 }
             }
             match kind.is_for_target() {
                 true => refine(run, &mut observer, &map, (shown, floor)),
-                false => Outcome::Succeeded,
+                false => Outcome::Succeeded.into(),
             }
         }
     }
@@ -150,7 +151,7 @@ fn refine(
     observer: &mut JobObserver<'_>,
     map: &Arc<LightMap>,
     (sequence, floor): (Sequence, Option<f32>),
-) -> Outcome {
+) -> RunEnd {
     let Run { scene, spec, .. } = run;
     let (world, before) = (scene.published().world.clone(), scene.samples());
     let left = spec.budget.samples_per_element.saturating_sub(before);
@@ -166,16 +167,16 @@ fn refine(
     let result = observer.app.config.engine.refine(&world, map, &budget, seed, observer);
     match take_over_end(observer, scene, (sequence, Samples::More), result) {
         Ok(_) => done(run),
-        Err(outcome) => outcome,
+        Err(end) => end,
     }
 }
 
 /// The end of a job within its budget. One for the target has reached it, as far as its bounds let it.
-fn done(run: &Run) -> Outcome {
+fn done(run: &Run) -> RunEnd {
     if run.kind.is_for_target() {
         run.scene.reached(&run.spec.budget);
     }
-    Outcome::Succeeded
+    Outcome::Succeeded.into()
 }
 
 /// From `map` to that after a step, the `index`-th of its job; how the job ends where there is none.
@@ -185,7 +186,7 @@ fn light_step(
     map: Arc<LightMap>,
     step: &Step,
     (index, is_last): (usize, bool),
-) -> Result<Arc<LightMap>, Outcome> {
+) -> Result<Arc<LightMap>, RunEnd> {
     let Run { scene, spec, .. } = run;
     let Some(transition) = &step.transition else {
         let map = step.carries.iter().fold(map, |map, transition| carry_over(transition, &map));
@@ -216,7 +217,7 @@ fn light_step(
     if result.is_err() && observer.ended_as_estimate() {
         // The estimate stays in sight, but the next step starts from the light that is right.
         step.as_unlit().into_iter().for_each(|unlit| scene.fold_unlit(unlit));
-        return Err(Outcome::Succeeded);
+        return Err(Outcome::Succeeded.into());
     }
     let lit = take_over_end(observer, scene, (step.sequence, |_| Samples::Same), result)?;
     scene.earlier.computed(&transition.before, map, edits, &lit, observer.was_cut());
@@ -337,23 +338,23 @@ fn take_over_end(
     scene: &SceneEntry,
     (sequence, samples): (Sequence, fn(u32) -> Samples),
     result: Result<Arc<LightMap>, Canceled>,
-) -> Result<Arc<LightMap>, Outcome> {
+) -> Result<Arc<LightMap>, RunEnd> {
     let complete = observer.take_complete();
     let count = samples(complete.as_ref().map_or(0, |complete| complete.samples));
     let asked = observer.stop.asked();
     if result.is_err() && observer.has_made_way() {
         complete.into_iter().for_each(|complete| scene.set_lit(sequence, complete.map, count));
-        return Err(Outcome::Interrupted);
+        return Err(RunEnd::Interrupted);
     }
     if result.is_err() && asked == Asked::Interrupt {
-        return Err(Outcome::Interrupted);
+        return Err(RunEnd::Interrupted);
     }
     let was_canceled = result.is_err() && asked == Asked::Cancel;
     let (latest, held_back) = complete.map_or((None, None), |complete| (Some(complete.map), complete.held_back));
-    let Some(map) = result.ok().or(latest) else { return Err(Outcome::Canceled) };
+    let Some(map) = result.ok().or(latest) else { return Err(Outcome::Canceled.into()) };
     if let Some(progress) = held_back.filter(|_| !was_canceled) {
         observer.publish(&map, Snapshot::Complete { stated: progress.estimated_rmse }, &progress);
     }
     scene.set_lit(sequence, map.clone(), count);
-    if was_canceled { Err(Outcome::Canceled) } else { Ok(map) }
+    if was_canceled { Err(Outcome::Canceled.into()) } else { Ok(map) }
 }

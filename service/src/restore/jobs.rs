@@ -5,7 +5,7 @@ use std::sync::Arc;
 use jiff::Timestamp;
 
 use crate::jobs::budget::JobBudget;
-use crate::jobs::queue::{JobKind, JobState, Outcome, Priority};
+use crate::jobs::queue::{JobKind, Outcome, Priority};
 use crate::jobs::{JobSpec, new_record};
 use crate::state::App;
 use crate::store::records::JobRecord;
@@ -15,20 +15,16 @@ use crate::store::scene::SceneEntry;
 pub(super) fn restore_job(app: &App, mut record: JobRecord) {
     let scene = app.scenes.get(record.job.scene);
     let job = &mut record.job;
-    if !job.state.has_ended() {
-        let outcome = match &scene {
-            None => Some(Outcome::Canceled),
-            Some(scene) if scene.is_damaged() => Some(Outcome::Failed("the scene is damaged".to_owned())),
-            Some(_) if job.cancel_requested => Some(Outcome::Canceled),
-            Some(_) => None,
-        };
-        if let Some(outcome) = outcome {
-            job.end(&outcome, Timestamp::now());
-            if let Err(error) = app.store.job_changed(&record) {
-                tracing::warn!(%error, "the end of a job could not be saved");
-            }
-        } else if job.state == JobState::Running {
-            job.started_at = None;
+    let outcome = match &scene {
+        _ if job.has_ended() => None,
+        None => Some(Outcome::Canceled),
+        Some(scene) if scene.is_damaged() => Some(Outcome::Failed("the scene is damaged".to_owned())),
+        Some(_) => job.requests().cancel.then_some(Outcome::Canceled),
+    };
+    if let Some(outcome) = outcome {
+        job.end(outcome, Timestamp::now());
+        if let Err(error) = app.store.job_changed(&record) {
+            tracing::warn!(%error, "the end of a job could not be saved");
         }
     }
     app.restore_job(scene, &record);

@@ -18,6 +18,7 @@ pub(crate) mod probes;
 pub(crate) mod records;
 pub(crate) mod scene;
 pub(crate) mod scenes;
+mod stored_job;
 pub(crate) mod versions;
 
 use std::collections::HashMap;

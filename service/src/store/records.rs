@@ -83,6 +83,7 @@ pub(crate) struct StoredSky {
 /// A job with all that is needed to run it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct JobRecord {
+    #[serde(with = "super::stored_job")]
     pub(crate) job: Job,
     #[serde(flatten)]
     pub(crate) spec: JobSpec,

@@ -129,15 +129,15 @@ mod tests {
         disk.scene_created(1, &scene, b"glb", Some(&job(1, 1))).unwrap();
         disk.job_changed(&job(2, 1)).unwrap();
         let mut done = job(1, 1);
-        done.job.end(&Outcome::Succeeded, Timestamp::now());
+        done.job.end(Outcome::Succeeded, Timestamp::now());
         disk.job_ended(&done, None).unwrap();
         disk.job_changed(&job(1, 1)).unwrap();
         disk.scene_deleted(1).unwrap();
         let saved = disk.load("x").unwrap();
         assert!(saved.scenes.is_empty() && saved.newest_scene == 1 && saved.newest_job == 2);
         let jobs: Vec<JobRecord> = saved.jobs.into_iter().map(Result::unwrap).collect();
-        let states: Vec<JobState> = jobs.iter().map(|record| record.job.state).collect();
+        let states: Vec<JobState> = jobs.iter().map(|record| record.job.state()).collect();
         assert_eq!(states, [JobState::Succeeded, JobState::Canceled]);
-        assert!(jobs[1].job.finished_at.is_some() && jobs[1].spec.seed == u64::MAX - 1);
+        assert!(jobs[1].job.has_ended() && jobs[1].spec.seed == u64::MAX - 1);
     }
 }

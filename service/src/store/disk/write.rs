@@ -251,7 +251,7 @@ fn put_job(t: &Transaction<'_>, job: &JobRecord) -> Result<(), StoreError> {
         ON CONFLICT (number) DO UPDATE SET is_open = excluded.is_open, record = excluded.record
             WHERE jobs.is_open OR NOT excluded.is_open";
     // What has ended stays so: its end is kept before the queue knows of it, and a request to stop may come between.
-    let is_open = !job.job.state.has_ended();
+    let is_open = !job.job.has_ended();
     t.execute(sql, (job.job.number as i64, job.job.scene as i64, is_open, to_json(job)?))?;
     schema::raise(t, "newest_job", job.job.number)
 }
