@@ -17,6 +17,8 @@ pub mod engine;
 mod events;
 mod filter;
 mod freed;
+mod gauges;
+mod ids;
 pub mod jobs;
 mod memory;
 mod metrics;

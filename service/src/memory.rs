@@ -1,5 +1,6 @@
 //! How much memory scenes may take, and how much one will, before it is built.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use rebake_core::edit::Cost;
@@ -7,9 +8,11 @@ use rebake_core::scene::Object;
 use rebake_core::surface::object_area;
 
 use crate::engine::{Density, Edit, Scene};
-use crate::state::App;
+use crate::store::Store;
+use crate::store::assets::Assets;
 use crate::store::layers::LAYER_BYTES;
 use crate::store::scene::SceneEntry;
+use crate::store::scenes::Scenes;
 
 /// Bytes of an element with its two triangles: geometry, trees, the light map and what is kept beside it.
 const BYTES_PER_ELEMENT: f64 = 600.0;
@@ -114,10 +117,25 @@ pub(crate) struct NoRoom {
     pub(crate) limit: Option<u64>,
 }
 
-impl App {
+/// Memory that scenes and assets share.
+pub(crate) struct Memory {
+    limit: u64,
+    /// Bytes of scenes that are being built.
+    promised: AtomicU64,
+    scenes: Arc<Scenes>,
+    assets: Arc<Assets>,
+    store: Arc<dyn Store>,
+}
+
+impl Memory {
+    /// Room for `limit` bytes, taken by what these hold.
+    pub(crate) fn new(limit: u64, scenes: Arc<Scenes>, assets: Arc<Assets>, store: Arc<dyn Store>) -> Memory {
+        Memory { limit, promised: AtomicU64::new(0), scenes, assets, store }
+    }
+
     /// Bytes that all scenes and assets take, with the files that are kept in memory and the edits that are accepted and
     /// not shown yet.
-    pub(crate) fn memory_in_use(&self) -> u64 {
+    pub(crate) fn in_use(&self) -> u64 {
         let of = |scene: &SceneEntry| {
             let published = scene.published();
             let world = (published.world.memory_bytes() as u64).max(scene.accepted_bytes());
@@ -130,15 +148,15 @@ impl App {
     }
 
     /// Promises `more` bytes for a scene that takes `present` already.
-    pub(crate) fn promise_memory(&self, more: u64, present: u64) -> Result<Promise<'_>, NoRoom> {
-        let limit = self.config.limits.memory_bytes;
+    pub(crate) fn promise(&self, more: u64, present: u64) -> Result<Promise<'_>, NoRoom> {
+        let limit = self.limit;
         let bytes = present.saturating_add(more);
         if more > 0 && bytes > limit {
-            return Err(NoRoom { bytes, free: limit.saturating_sub(self.memory_in_use()), limit: Some(limit) });
+            return Err(NoRoom { bytes, free: limit.saturating_sub(self.in_use()), limit: Some(limit) });
         }
-        let before = self.promised_memory.fetch_add(more, Ordering::Relaxed);
-        let promise = Promise { promised: &self.promised_memory, bytes: more };
-        let free = limit.saturating_sub(self.memory_in_use() + before);
+        let before = self.promised.fetch_add(more, Ordering::Relaxed);
+        let promise = Promise { promised: &self.promised, bytes: more };
+        let free = limit.saturating_sub(self.in_use() + before);
         // What takes nothing more always fits.
         if more > free { Err(NoRoom { bytes, free, limit: None }) } else { Ok(promise) }
     }
@@ -146,7 +164,7 @@ impl App {
     /// Promises `more` bytes on top of what `promise` holds already.
     pub(crate) fn promise_more(&self, promise: &mut Promise<'_>, more: u64) -> Result<(), NoRoom> {
         // The new promise is dropped for the sum.
-        let _more = self.promise_memory(more, promise.bytes)?;
+        let _more = self.promise(more, promise.bytes)?;
         promise.add(more);
         Ok(())
     }

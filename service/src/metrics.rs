@@ -1,18 +1,15 @@
-//! What Prometheus may ask: counters that requests and jobs raise, and gauges read from the state when it asks.
+//! What is counted for Prometheus, as requests and jobs raise it.
 
-use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 
 use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
-use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 use prometheus_client::registry::{Registry, Unit};
 
 use crate::engine::Pass;
 use crate::jobs::queue::{JobKind, JobState};
-use crate::state::App;
 use crate::store::versions::Published;
 
 /// Answers by route: few, since a route is a pattern and not a path.
@@ -27,16 +24,6 @@ struct Route {
 struct Ended {
     kind: &'static str,
     state: &'static str,
-}
-
-#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
-struct OfState {
-    state: &'static str,
-}
-
-#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
-struct OfScene {
-    scene: String,
 }
 
 #[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
@@ -127,7 +114,8 @@ impl Metrics {
         self.elements_changed.inc_by(changed as u64);
     }
 
-    fn register(&self, registry: &mut Registry) {
+    /// Puts all of them into what is told.
+    pub(crate) fn register(&self, registry: &mut Registry) {
         registry.register("http_requests", "Answers by route and status", self.requests.clone());
         let name = "http_request_duration";
         registry.register_with_unit(name, "Time to the head of an answer", Unit::Seconds, self.request_seconds.clone());
@@ -145,60 +133,5 @@ impl Metrics {
         let help = "Delta frames sent, before compression";
         registry.register_with_unit("delta", help, Unit::Bytes, self.delta_bytes.clone());
         registry.register("unsaved", "Changes that could not be kept", self.unsaved.clone());
-    }
-}
-
-impl App {
-    /// All metrics as text.
-    pub(crate) fn metrics_text(self: &Arc<App>) -> Result<String, std::fmt::Error> {
-        let mut registry = Registry::with_prefix("rebake");
-        self.metrics.register(&mut registry);
-        self.register_state(&mut registry);
-        let mut text = String::new();
-        prometheus_client::encoding::text::encode(&mut text, &registry)?;
-        Ok(text)
-    }
-
-    /// Gauges as of now.
-    fn register_state(&self, registry: &mut Registry) {
-        let gauge = |registry: &mut Registry, name: &str, help: &str, value: u64| {
-            let gauge = Gauge::<u64, AtomicU64>::default();
-            gauge.set(value);
-            registry.register(name, help, gauge);
-        };
-        let jobs = Family::<OfState, Gauge<u64, AtomicU64>>::default();
-        self.jobs.with_queue(|queue| {
-            for state in JobState::ALL {
-                let count = queue.iter().filter(|job| job.state() == state).count();
-                jobs.get_or_create(&OfState { state: state.as_str() }).set(count as u64);
-            }
-        });
-        registry.register("jobs", "Jobs that are remembered, by state", jobs);
-        let memory = Family::<OfScene, Gauge<u64, AtomicU64>>::default();
-        let version = Family::<OfScene, Gauge<u64, AtomicU64>>::default();
-        let error = Family::<OfScene, Gauge<f64, AtomicU64>>::default();
-        let scenes = self.scenes.all();
-        for scene in &scenes {
-            let (published, label) = (scene.published(), OfScene { scene: scene.id.clone() });
-            let bytes = published.world.memory_bytes() + published.memory_bytes();
-            memory.get_or_create(&label).set(bytes as u64);
-            version.get_or_create(&label).set(published.version);
-            error.get_or_create(&label).set(published.estimated_rmse.map_or(f64::NAN, f64::from));
-        }
-        registry.register_with_unit("scene_memory", "Memory of each scene", Unit::Bytes, memory);
-        registry.register("scene_version", "Version of each light map", version);
-        registry.register("scene_estimated_rmse", "Stated error of each light map", error);
-        let streams = self.config.limits.streams - self.streams.available_permits();
-        gauge(registry, "streams", "Open event and delta streams", streams as u64);
-        let refining = u64::from(self.jobs.is_refining());
-        gauge(registry, "refining", "Light maps that are refined because no job waits", refining);
-        gauge(registry, "scenes", "Scenes", scenes.len() as u64);
-        gauge(
-            registry,
-            "scenes_damaged",
-            "Scenes that cannot be served",
-            scenes.iter().filter(|s| s.is_damaged()).count() as u64,
-        );
-        gauge(registry, "memory_limit_bytes", "Memory that scenes may take", self.config.limits.memory_bytes);
     }
 }

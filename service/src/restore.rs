@@ -35,7 +35,7 @@ use crate::unit::LightUnit;
 pub(crate) fn restore(app: &Arc<App>, disk: &Disk, saved: Saved) {
     let (scenes, jobs) = (saved.scenes.len(), saved.jobs.len());
     app.scenes.begin_after(saved.newest_scene);
-    app.begin_jobs_after(saved.newest_job);
+    app.jobs.begin_after(saved.newest_job);
     for id in &saved.assets {
         if let Err(error) = restore_asset(app, id) {
             tracing::error!(asset = id, %error, "an asset is lost");
@@ -58,7 +58,7 @@ pub(crate) fn restore(app: &Arc<App>, disk: &Disk, saved: Saved) {
     unbaked.iter().for_each(|scene| bake_again(app, scene));
     for scene in app.scenes.all().iter().filter(|scene| !scene.is_damaged()) {
         let accepted = scene.head.blocking_lock().sequence;
-        app.show_accepted(scene, accepted);
+        app.jobs.show_accepted(scene, accepted);
     }
     // Unless the service is about to end already.
     app.phase.send_if_modified(|phase| {
@@ -68,7 +68,7 @@ pub(crate) fn restore(app: &Arc<App>, disk: &Disk, saved: Saved) {
         }
         is_first
     });
-    app.start_jobs();
+    app.jobs.start();
     tracing::info!(scenes, jobs, assets = saved.assets.len(), life = saved.life, "restored");
 }
 
@@ -197,7 +197,7 @@ fn describe(app: &App, saved: &SavedScene, record: SceneRecord, reserved: u64, e
         mode: record.mode,
         target: record.target,
         created_at: record.created_at,
-        first_event: app.first_event,
+        first_event: app.ids.first_event,
         reserved,
         error,
         state: SceneState::Ready,

@@ -136,7 +136,7 @@ async fn close(app: &Arc<App>, graceful: GracefulShutdown) {
     let limit = app.config.timeouts.shutdown;
     tracing::info!(connections = graceful.count(), seconds = limit.as_secs_f32(), "closing");
     app.phase.send_replace(Phase::Draining);
-    app.close_jobs();
+    app.jobs.close();
     let end_streams = async {
         let mut running = app.jobs.watch_running();
         // Streams end with whatever is published by then.
@@ -152,7 +152,7 @@ async fn close(app: &Arc<App>, graceful: GracefulShutdown) {
         Err(_elapsed) => tracing::warn!("some connections did not end in time"),
     }
     let its_app = app.clone();
-    if tokio::task::spawn_blocking(move || its_app.save_all()).await.is_err() {
+    if tokio::task::spawn_blocking(move || its_app.saving.save_all(&its_app.scenes)).await.is_err() {
         tracing::error!("the light could not be saved");
     }
 }

@@ -98,7 +98,7 @@ fn add(app: &App, file: &Bytes, is_picture: bool) -> ApiResult<(StatusCode, Json
     }
     let full = |NoRoom| Problem::new(Kind::TooManyAssets, "there is no room for another asset");
     app.assets.check_room(file.len()).map_err(full)?;
-    let promise = app.promise_memory(content.memory_bytes(), 0);
+    let promise = app.memory.promise(content.memory_bytes(), 0);
     let _promise = promise.map_err(|full| uploads::memory_problem("asset", full))?;
     app.store.asset_added(&id, file)?;
     app.assets.insert(id, content, file.len());

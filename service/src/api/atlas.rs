@@ -307,7 +307,7 @@ pub(super) async fn get_page(
     let turn = app.pictures.turns.clone().acquire_owned().await.map_err(Problem::internal)?;
     let work = move || {
         let _turn = turn;
-        let _promise = its_app.promise_memory(bytes, 0).map_err(|full| memory_problem("page", full))?;
+        let _promise = its_app.memory.promise(bytes, 0).map_err(|full| memory_problem("page", full))?;
         if let Chosen::Computed(part) = &chosen
             && let AtlasPicture::Exr(precision) = picture
         {

@@ -88,7 +88,7 @@ async fn compute(app: &Arc<App>, published: &Arc<Published>, wanted: Wanted) -> 
     let work = move || {
         let _turn = turn;
         let bytes = published.world.slots() as u64 * BYTES_PER_SLOT;
-        let _promise = its_app.promise_memory(bytes, 0).map_err(|full| memory_problem("part", full))?;
+        let _promise = its_app.memory.promise(bytes, 0).map_err(|full| memory_problem("part", full))?;
         let found = match wanted {
             Wanted::Occlusion(distance) => occlusion_of(&published, distance, seed, &watch),
             Wanted::Directional => directional_of(&published, seed, &watch),

@@ -161,13 +161,13 @@ fn accept(
     key: Option<(String, blake3::Hash)>,
 ) -> ApiResult<(String, Arc<str>)> {
     let Request { parsed, edits, priority, mut spec } = request;
-    let ticket = app.ticket(scene.number).map_err(full_problem)?;
+    let ticket = app.jobs.ticket(scene.number).map_err(full_problem)?;
     let limits = &app.config.limits;
     if scene.unlit() >= limits.queued_per_scene + limits.unlit_edits {
         let text = "too many edits of this scene are not lit yet";
         return Err(Problem::new(Kind::QueueFull, text).retry_after(1));
     }
-    let room = app.promise_memory(memory::estimate_inserts(&edits, head.world.density()), scene.accepted_bytes());
+    let room = app.memory.promise(memory::estimate_inserts(&edits, head.world.density()), scene.accepted_bytes());
     let _promise = room.map_err(|full| memory_problem("edited scene", full))?;
     let transition = match edits.is_empty() {
         true => None,

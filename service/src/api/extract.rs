@@ -70,7 +70,7 @@ pub(crate) async fn read_upload<'a>(
         return Err(too_large());
     }
     let full = |full| super::uploads::memory_problem("upload", full);
-    let mut room = app.promise_memory(0, 0).map_err(full)?;
+    let mut room = app.memory.promise(0, 0).map_err(full)?;
     let mut glb = BytesMut::with_capacity(reserved(announced));
     let read = async {
         loop {
@@ -83,7 +83,7 @@ pub(crate) async fn read_upload<'a>(
             if data.len() > limit - glb.len() {
                 return Err(too_large());
             }
-            app.promise_more(&mut room, data.len() as u64).map_err(full)?;
+            app.memory.promise_more(&mut room, data.len() as u64).map_err(full)?;
             glb.extend_from_slice(&data);
         }
     };

@@ -34,7 +34,7 @@ pub(super) async fn view(
     let (its_app, filtered) = (Arc::clone(app), Arc::clone(filtered));
     let work = move || {
         let bytes = (published.memory_bytes() + published.map.len() * FILTER_BYTES) as u64;
-        let _promise = its_app.promise_memory(bytes, 0).map_err(|full| memory_problem("filter", full))?;
+        let _promise = its_app.memory.promise(bytes, 0).map_err(|full| memory_problem("filter", full))?;
         let given_up = |_| Problem::new(Kind::ShuttingDown, "the filter was given up");
         filtered.of(&published, &watch).map_err(given_up)
     };

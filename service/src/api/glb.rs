@@ -71,14 +71,14 @@ pub(super) async fn glb(
         let _turn = turn;
         if by_slot {
             let bytes = published.world.element_count() as u64 * BYTES_PER_ELEMENT;
-            let _promise = its_app.promise_memory(bytes, 0).map_err(|full| memory_problem("file", full))?;
+            let _promise = its_app.memory.promise(bytes, 0).map_err(|full| memory_problem("file", full))?;
             let (values, _) = lightmap::values(&published, &chosen).map_err(Problem::internal)?;
             let file = engine::lightmap_glb(&published.world, &lightmap::finite(&values));
             return encode_body(coding, file.map_err(Problem::internal)?).map_err(Problem::internal);
         }
         let files = files_of(&its_app, &its_scene, &published)?;
         let bytes = files.bytes() * COPIES + light_bytes(&published, atlas.as_deref());
-        let promise = its_app.promise_memory(bytes, 0);
+        let promise = its_app.memory.promise(bytes, 0);
         let _promise = promise.map_err(|full| memory_problem("file", full))?;
         let originals = files.open()?;
         let (values, _) = lightmap::values(&published, &chosen).map_err(Problem::internal)?;

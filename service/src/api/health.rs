@@ -9,6 +9,7 @@ use super::extract::ApiPath;
 use super::problem::{self, ApiResult, Kind, Problem};
 use super::types::Health;
 use super::{Shared, require_serving};
+use crate::gauges;
 use crate::state::Phase;
 
 /// The process is alive.
@@ -45,7 +46,7 @@ pub(super) async fn metrics(State(app): Shared, headers: HeaderMap) -> ApiResult
     let accepts = |value: &HeaderValue| value.to_str().is_ok_and(|v| v.contains("application/openmetrics-text"));
     let is_open = headers.get_all(header::ACCEPT).iter().any(accepts);
     let its_app = app.clone();
-    let text = app.compute.run(move || its_app.metrics_text()).await?.map_err(Problem::internal)?;
+    let text = app.compute.run(move || gauges::text(&its_app)).await?.map_err(Problem::internal)?;
     Ok(([(header::CONTENT_TYPE, if is_open { OPEN_METRICS } else { PROMETHEUS_TEXT })], text).into_response())
 }
 

@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::types::finite;
+use crate::ids::Ids;
 use crate::jobs::{About, queue};
-use crate::state::Ids;
 
 pub use crate::jobs::queue::{JobKind, JobState, Priority as JobPriority};
 

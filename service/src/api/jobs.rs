@@ -69,7 +69,7 @@ pub(super) async fn get(State(app): Shared, ApiPath(id): ApiPath<String>) -> Api
 pub(super) async fn cancel(State(app): Shared, ApiPath(id): ApiPath<String>) -> ApiResult<(StatusCode, Json<Job>)> {
     let (number, job) = find(&app, &id)?;
     let its_app = app.clone();
-    let change = app.compute.run(move || its_app.cancel_job(number)).await??;
+    let change = app.compute.run(move || its_app.jobs.cancel(number)).await??;
     if change == Change::Done {
         show_what_is_left(&app, &job).await?;
     }
@@ -86,7 +86,7 @@ pub(super) async fn cancel(State(app): Shared, ApiPath(id): ApiPath<String>) -> 
 pub(super) async fn pause(State(app): Shared, ApiPath(id): ApiPath<String>) -> ApiResult<(StatusCode, Json<Job>)> {
     let (number, job) = find(&app, &id)?;
     let its_app = app.clone();
-    let change = app.compute.run(move || its_app.pause_job(number)).await??;
+    let change = app.compute.run(move || its_app.jobs.pause(number)).await??;
     changed(&app, &id, job, change)
 }
 
@@ -100,7 +100,7 @@ pub(super) async fn pause(State(app): Shared, ApiPath(id): ApiPath<String>) -> A
 pub(super) async fn resume(State(app): Shared, ApiPath(id): ApiPath<String>) -> ApiResult<(StatusCode, Json<Job>)> {
     let (number, job) = find(&app, &id)?;
     let its_app = app.clone();
-    let change = app.compute.run(move || its_app.resume_job(number)).await??;
+    let change = app.compute.run(move || its_app.jobs.resume(number)).await??;
     changed(&app, &id, job, change)
 }
 
@@ -124,7 +124,7 @@ async fn show_what_is_left(app: &std::sync::Arc<App>, job: &Job) -> ApiResult<()
     let Some(scene) = app.ids.parse_scene(&job.scene).and_then(|number| app.scenes.get(number)) else { return Ok(()) };
     let accepted = scene.head.lock().await.sequence;
     let its_app = app.clone();
-    Ok(app.compute.run(move || its_app.show_accepted(&scene, accepted)).await?)
+    Ok(app.compute.run(move || its_app.jobs.show_accepted(&scene, accepted)).await?)
 }
 
 pub(super) fn find(app: &App, id: &str) -> ApiResult<(JobNumber, Job)> {

@@ -15,7 +15,7 @@ use crate::memory::Promise;
 use crate::state::App;
 use crate::store::layers::{LAYER_BYTES, PublishedLayer};
 use crate::store::scene::SceneEntry;
-use crate::store::versions::{Part, Published};
+use crate::store::versions::{LightPart, Published};
 
 /// The layers that an upload asks for.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -135,7 +135,7 @@ fn refused(reason: String) -> Problem {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Chosen {
     /// A part of all light.
-    Part(Part),
+    Part(LightPart),
     /// One layer, by its name.
     Layer(String),
     /// Every layer.
@@ -145,9 +145,9 @@ pub(super) enum Chosen {
 /// Reads the query parameter `layer`. Words for parts come before names; a name between double quotes is always one.
 pub(super) fn choose(published: &Published, text: &str) -> ApiResult<Chosen> {
     match text {
-        "full" => Ok(Chosen::Part(Part::Full)),
-        "direct" => Ok(Chosen::Part(Part::Direct)),
-        "indirect" => Ok(Chosen::Part(Part::Indirect)),
+        "full" => Ok(Chosen::Part(LightPart::Full)),
+        "direct" => Ok(Chosen::Part(LightPart::Direct)),
+        "indirect" => Ok(Chosen::Part(LightPart::Indirect)),
         "all" => Ok(Chosen::All),
         _ => find(published, text).map(Chosen::Layer),
     }
@@ -201,7 +201,7 @@ pub(super) fn room_for<'a>(app: &'a App, scene: &SceneEntry, after: &World, edit
     let to_come = scene.layers_to_come(&published);
     let more = expected.saturating_sub(published.layer_bytes() as u64 + to_come);
     let present = scene.accepted_bytes() + published.memory_bytes() as u64 + to_come;
-    let promise = app.promise_memory(more, present);
+    let promise = app.memory.promise(more, present);
     Ok(Room { expected, _promise: promise.map_err(|full| memory_problem("scene with its layers", full))? })
 }
 

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::store::versions::{Part, Wanted};
+use crate::store::versions::{LightPart, Wanted};
 
 /// What to fetch of a light map or a layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -32,9 +32,9 @@ impl PartName {
     /// What of a light map or a layer it names; none of what is no light.
     pub(super) fn of_light(self) -> Option<Wanted> {
         match self {
-            PartName::Full => Some(Wanted::Light(Part::Full)),
-            PartName::Direct => Some(Wanted::Light(Part::Direct)),
-            PartName::Indirect => Some(Wanted::Light(Part::Indirect)),
+            PartName::Full => Some(Wanted::Light(LightPart::Full)),
+            PartName::Direct => Some(Wanted::Light(LightPart::Direct)),
+            PartName::Indirect => Some(Wanted::Light(LightPart::Indirect)),
             PartName::Error => Some(Wanted::Error),
             PartName::Ao | PartName::Directional => None,
         }

@@ -83,15 +83,15 @@ fn finish(app: &Arc<App>, scene: &Arc<SceneEntry>, built: ApiResult<World>) {
             let published = scene.set_ready(&mut head, world);
             drop(head);
             tracing::info!(scene = scene.id, elements = published.world.element_count(), "prepared");
-            app.tell_edited(scene, None, &published);
-            app.start_jobs_of(scene.number);
+            app.jobs.tell_edited(scene, None, &published);
+            app.jobs.scene_prepared(scene.number);
         }
         Err(problem) => {
             let error = problem.to_string();
             tracing::warn!(scene = scene.id, error, "cannot be prepared");
             scene.set_damaged(error.clone());
             drop(head);
-            app.fail_jobs_of(scene, &error);
+            app.jobs.scene_failed(scene, &error);
         }
     }
 }
@@ -151,7 +151,7 @@ fn read_scene(app: &App, glb: &Bytes, options: &Options) -> ApiResult<Read> {
 fn lay_out(app: &App, Read { scene, density, bytes }: Read, options: &Options) -> ApiResult<World> {
     let of_layers = memory::estimate_layers(bytes, layers::count(&scene, &scene.groups));
     let what = if of_layers > 0 { "scene with its layers" } else { "scene" };
-    let _promise = app.promise_memory(bytes.saturating_add(of_layers), 0).map_err(|full| memory_problem(what, full))?;
+    let _promise = app.memory.promise(bytes.saturating_add(of_layers), 0).map_err(|full| memory_problem(what, full))?;
     let (stated, max_albedo) = (options.mode.stated(), options.max_albedo);
     let world_options = engine::world_options(density, stated, max_albedo, options.atlas, &app.config.limits);
     app.config.engine.build(scene, &world_options).map_err(|error| match error {

@@ -16,7 +16,7 @@ use super::versioned::VERSION;
 use super::{Shared, find_scene};
 use crate::config::Limits;
 use crate::pictures::Watch;
-use crate::store::versions::{Part, Published};
+use crate::store::versions::{LightPart, Published};
 
 /// Samples per point where a request does not say.
 const DEFAULT_SAMPLES: u32 = 256;
@@ -73,22 +73,22 @@ pub(super) struct Sample {
     error: Option<f32>,
 }
 
-impl From<Part> for SamplePart {
-    fn from(part: Part) -> SamplePart {
+impl From<LightPart> for SamplePart {
+    fn from(part: LightPart) -> SamplePart {
         match part {
-            Part::Full => SamplePart::Full,
-            Part::Direct => SamplePart::Direct,
-            Part::Indirect => SamplePart::Indirect,
+            LightPart::Full => SamplePart::Full,
+            LightPart::Direct => SamplePart::Direct,
+            LightPart::Indirect => SamplePart::Indirect,
         }
     }
 }
 
-impl From<SamplePart> for Part {
-    fn from(part: SamplePart) -> Part {
+impl From<SamplePart> for LightPart {
+    fn from(part: SamplePart) -> LightPart {
         match part {
-            SamplePart::Full => Part::Full,
-            SamplePart::Direct => Part::Direct,
-            SamplePart::Indirect => Part::Indirect,
+            SamplePart::Full => LightPart::Full,
+            SamplePart::Direct => LightPart::Direct,
+            SamplePart::Indirect => LightPart::Indirect,
         }
     }
 }
@@ -114,7 +114,7 @@ pub(super) async fn create(
     let published = scene.published();
     let points = check_points(&request.points, &published, &app.config.limits)?;
     let samples = check_samples(&request, &app.config.limits)?;
-    let part = request.part.map_or(published.mode(), Part::from);
+    let part = request.part.map_or(published.mode(), LightPart::from);
     let options = PointOptions { part, samples, seed: app.config.seed };
     let watch = Watch::default();
     let _guard = watch.guard();
@@ -122,7 +122,7 @@ pub(super) async fn create(
     let work = move || {
         let _turn = turn;
         let found = light_at(&published.world, &published.map, &points, &options, &watch).ok()?;
-        let is_known = part == Part::Direct || published.is_known();
+        let is_known = part == LightPart::Direct || published.is_known();
         let sample = |light: rebake_core::points::PointLight| Sample {
             light: light.light.to_array(),
             error: is_known.then_some(light.error),

@@ -108,7 +108,7 @@ pub(super) async fn patch(
         let change = SceneChange { name: name.as_deref(), target: target.as_ref() };
         its_app.store.scene_changed(its_scene.number, &change)?;
         name.into_iter().for_each(|name| its_scene.set_name(name));
-        target.into_iter().for_each(|target| its_app.set_target(&its_scene, target));
+        target.into_iter().for_each(|target| its_app.jobs.set_target(&its_scene, target));
         Ok::<_, StoreError>(())
     };
     app.compute.run(change).await??;
@@ -132,7 +132,7 @@ pub(super) async fn delete(State(app): Shared, ApiPath(id): ApiPath<String>) -> 
         return Err(Problem::new(Kind::UnknownScene, format!("there is no scene {id:?}")));
     }
     app.assets.release(scene.number);
-    app.cancel_scene(&scene);
+    app.jobs.cancel_scene(&scene);
     app.pictures.forget(scene.number);
     tell_scene(&scene, types::SceneChange::Deleted, &scene.published());
     scene.mark_deleted();

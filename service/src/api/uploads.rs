@@ -125,7 +125,7 @@ pub(super) fn keep(
         mode: record.mode,
         target: record.target,
         created_at: record.created_at,
-        first_event: app.first_event,
+        first_event: app.ids.first_event,
         reserved: FIRST_RESERVE,
         error: None,
         state: if world.is_none() { SceneState::Preparing } else { SceneState::Ready },
@@ -141,7 +141,7 @@ pub(super) fn keep(
         None => None,
         Some(budget) => {
             let spec = JobSpec::new(budget, next_seed(app.config.seed, &mut head.jobs), 0);
-            let ticket = app.ticket(scene.number).map_err(full_problem)?;
+            let ticket = app.jobs.ticket(scene.number).map_err(full_problem)?;
             let bake = new_record(ticket.number, &scene, (JobKind::Bake, options.priority), spec);
             Some((ticket, bake))
         }

@@ -8,64 +8,63 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-use super::State;
 use super::phases::PhaseClock;
-use super::scheduler::{self, Settled, Spell};
+use super::scheduler::{self, Spell, UpToDate};
 use super::seeds::next_seed;
 use super::stop::Stop;
+use super::{Jobs, State};
 use crate::compute::catching;
 use crate::config::IdleRefine;
 use crate::engine::{Budget, LightMap, Observer, Progress, Snapshot, mean_light};
-use crate::state::App;
 use crate::store::lighting::Lit;
 use crate::store::scene::SceneEntry;
 
 /// Seeds of idle time lie here, those of a scene's jobs far below.
 const FIRST_SEED: u64 = 1 << 48;
 
-impl App {
+impl Jobs {
     /// Begins to refine where no job runs or waits.
-    pub(super) fn refine_if_idle(self: &Arc<App>, state: &mut State) {
-        let Some((pool, bounds)) = self.jobs.idle_pool.as_ref().zip(self.config.idle_refine) else { return };
+    pub(super) fn refine_if_idle(self: &Arc<Jobs>, state: &mut State) {
+        let Some((pool, bounds)) = self.idle_pool.as_ref().zip(self.config.idle_refine) else { return };
         if state.closed || state.idle.is_some() || !scheduler::is_idle(&state.queue) {
             return;
         }
         let stop = Arc::new(Stop::default());
         state.idle = Some(stop.clone());
-        let app = self.clone();
+        let jobs = self.clone();
         pool.spawn(move || {
-            if let Err(panic) = catching(|| refine_all(&app, bounds, &stop)) {
+            if let Err(panic) = catching(|| refine_all(&jobs, bounds, &stop)) {
                 tracing::error!(%panic, "refining failed");
             }
-            app.end_refining(&stop);
+            jobs.end_refining(&stop);
         });
     }
 
-    fn end_refining(self: &Arc<App>, stop: &Stop) {
-        let mut state = self.jobs.lock();
+    fn end_refining(self: &Arc<Jobs>, stop: &Stop) {
+        let mut state = self.lock();
         state.idle = None;
         match stop.must_end() {
             // The job that came may have ended by now, and nothing else would begin again.
             true => self.start_what_can(&mut state),
-            false => drop(self.jobs.running.send_replace(state.running())),
+            false => drop(self.running.send_replace(state.running())),
         }
     }
 }
 
 /// Spell after spell, until all scenes are good enough.
-fn refine_all(app: &Arc<App>, bounds: IdleRefine, stop: &Stop) {
+fn refine_all(jobs: &Arc<Jobs>, bounds: IdleRefine, stop: &Stop) {
     while !stop.must_end()
-        && let Some(spell) = next_spell(app, bounds, stop)
+        && let Some(spell) = next_spell(jobs, bounds, stop)
     {
-        let Some(scene) = app.scenes.get(spell.scene) else { continue };
+        let Some(scene) = jobs.scenes.get(spell.scene) else { continue };
         let before = scene.published().version;
-        let reached = catching(|| refine(app, &scene, spell, bounds, stop)).unwrap_or_else(|panic| {
+        let reached = catching(|| refine(jobs, &scene, spell, bounds, stop)).unwrap_or_else(|panic| {
             tracing::error!(scene = scene.id, %panic, "refining failed");
             false
         });
         let after = scene.published().version;
         if after > before {
-            app.save_soon(&scene);
+            jobs.saving.save_soon(&scene);
         }
         if !reached && !stop.must_end() {
             scene.refined.store(after, Ordering::Relaxed);
@@ -73,9 +72,9 @@ fn refine_all(app: &Arc<App>, bounds: IdleRefine, stop: &Stop) {
     }
 }
 
-fn next_spell(app: &App, bounds: IdleRefine, stop: &Stop) -> Option<Spell> {
+fn next_spell(jobs: &Jobs, bounds: IdleRefine, stop: &Stop) -> Option<Spell> {
     let mut scenes = Vec::new();
-    for scene in app.scenes.all() {
+    for scene in jobs.scenes.all() {
         if stop.must_end() {
             return None;
         }
@@ -85,13 +84,13 @@ fn next_spell(app: &App, bounds: IdleRefine, stop: &Stop) -> Option<Spell> {
         }
         let world = &published.world;
         let (stated, mean) = (f64::from(map.estimated_rmse(world.areas())), mean_light(world, &map));
-        scenes.push(Settled { scene: scene.number, stated, mean });
+        scenes.push(UpToDate { scene: scene.number, stated, mean });
     }
     scheduler::idle(&scenes, bounds.error_share)
 }
 
 /// One spell; whether it got as far as it should.
-fn refine(app: &Arc<App>, scene: &Arc<SceneEntry>, spell: Spell, bounds: IdleRefine, stop: &Stop) -> bool {
+fn refine(jobs: &Arc<Jobs>, scene: &Arc<SceneEntry>, spell: Spell, bounds: IdleRefine, stop: &Stop) -> bool {
     let Some((published, map)) = scene.up_to_date() else { return true };
     let target = spell.target as f32;
     let budget = Budget { samples_per_element: bounds.samples, target_rmse: Some(target) };
@@ -99,20 +98,20 @@ fn refine(app: &Arc<App>, scene: &Arc<SceneEntry>, spell: Spell, bounds: IdleRef
     let stated = map.estimated_rmse(world.areas());
     tracing::debug!(scene = scene.id, stated, target, "refining");
     // Versions do not repeat, so every spell has random numbers of its own.
-    let seed = next_seed(app.config.seed, &mut (FIRST_SEED | published.version));
+    let seed = next_seed(jobs.config.seed, &mut (FIRST_SEED | published.version));
     let held = Held { map: map.clone(), stated, clock: PhaseClock::default(), saved: Instant::now(), is_over: false };
-    let observer = IdleObserver { app, scene, stop, held: Mutex::new(held) };
+    let observer = IdleObserver { jobs, scene, stop, held: Mutex::new(held) };
     // Where it was canceled the last snapshot stands.
-    let _ = app.config.engine.refine(world, &map, &budget, seed, &observer);
+    let _ = jobs.config.engine.refine(world, &map, &budget, seed, &observer);
     let mut held = observer.lock();
-    held.clock.stop(&app.metrics);
+    held.clock.stop(&jobs.metrics);
     // Whatever came in between decides anew.
     held.is_over || held.stated <= target
 }
 
 /// Publishes what is better.
 struct IdleObserver<'a> {
-    app: &'a Arc<App>,
+    jobs: &'a Arc<Jobs>,
     scene: &'a Arc<SceneEntry>,
     stop: &'a Stop,
     held: Mutex<Held>,
@@ -140,7 +139,7 @@ impl Observer for IdleObserver<'_> {
     }
 
     fn progress(&self, progress: &Progress) {
-        self.lock().clock.tick(&self.app.metrics, progress);
+        self.lock().clock.tick(&self.jobs.metrics, progress);
     }
 
     fn plan_round(&self, so_far: &Progress, proposed: u32) -> u32 {
@@ -154,7 +153,7 @@ impl Observer for IdleObserver<'_> {
             Snapshot::Complete { stated } => stated.filter(|stated| *stated < held.stated),
             Snapshot::Estimate | Snapshot::Partial => None,
         };
-        if held.is_over || self.canceled() || !self.app.may_publish(self.scene) {
+        if held.is_over || self.canceled() || !self.jobs.saving.may_publish(self.scene) {
             return;
         }
         let Some(stated) = better else { return };
@@ -164,15 +163,15 @@ impl Observer for IdleObserver<'_> {
             return;
         };
         (held.map, held.stated) = (map.clone(), stated);
-        let is_due = held.saved.elapsed() >= self.app.config.timeouts.save;
+        let is_due = held.saved.elapsed() >= self.jobs.config.timeouts.save;
         if is_due {
             held.saved = Instant::now();
         }
         drop(held);
-        self.app.metrics.idle_versions.inc();
-        self.app.tell_snapshot(self.scene, None, &published, Some(progress));
+        self.jobs.metrics.idle_versions.inc();
+        self.jobs.tell_snapshot(self.scene, None, &published, Some(progress));
         if is_due {
-            self.app.save_soon(self.scene);
+            self.jobs.saving.save_soon(self.scene);
         }
     }
 }

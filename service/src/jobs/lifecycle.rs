@@ -5,18 +5,17 @@ use std::sync::Arc;
 use jiff::Timestamp;
 use rayon::ThreadPool;
 
-use super::State;
 use super::queue::{Change, Ended, Full, Job, JobNumber, Outcome, RunEnd, SceneNumber};
 use super::stop::Asked;
+use super::{Jobs, State};
 use crate::metrics::{JobEnd, Metrics};
-use crate::state::App;
 use crate::store::StoreError;
 use crate::store::records::JobRecord;
 use crate::store::scene::{SceneEntry, SceneState};
 
 /// A promised place in the queue, given back where nothing comes of it.
 pub(crate) struct Ticket {
-    app: Arc<App>,
+    jobs: Arc<Jobs>,
     scene: SceneNumber,
     pub(crate) number: JobNumber,
     is_used: bool,
@@ -26,18 +25,18 @@ impl Ticket {
     /// Queues the job and starts it if there is room. `accept` runs before it can start.
     pub(crate) fn submit(mut self, scene: &Arc<SceneEntry>, record: &JobRecord, accept: impl FnOnce()) -> Job {
         self.is_used = true;
-        let app = self.app.clone();
-        let mut state = app.jobs.lock();
-        state.handle(&app, scene.id.clone(), Some(scene.clone()), record);
+        let jobs = self.jobs.clone();
+        let mut state = jobs.lock();
+        state.handle(&jobs, scene.id.clone(), Some(scene.clone()), record);
         if scene.state() == SceneState::Preparing {
             state.queue.scene_preparing(scene.number);
         }
         state.queue.push(record.job.clone());
         accept();
         state.supersede(scene.number);
-        state.tell(&app, self.number);
+        state.tell(&jobs, self.number);
         let job = record.job.clone();
-        app.start_what_can(&mut state);
+        jobs.start_what_can(&mut state);
         job
     }
 }
@@ -45,25 +44,25 @@ impl Ticket {
 impl Drop for Ticket {
     fn drop(&mut self) {
         if !self.is_used {
-            self.app.jobs.lock().queue.give_back(self.scene);
+            self.jobs.lock().queue.give_back(self.scene);
         }
     }
 }
 
-impl App {
+impl Jobs {
     /// A place in the queue, with its number.
-    pub(crate) fn ticket(self: &Arc<App>, scene: SceneNumber) -> Result<Ticket, Full> {
-        let mut state = self.jobs.lock();
+    pub(crate) fn ticket(self: &Arc<Jobs>, scene: SceneNumber) -> Result<Ticket, Full> {
+        let mut state = self.lock();
         if state.closed {
             return Err(Full::Closed);
         }
         let number = state.queue.promise(scene)?;
-        Ok(Ticket { app: self.clone(), scene, number, is_used: false })
+        Ok(Ticket { jobs: self.clone(), scene, number, is_used: false })
     }
 
     /// Takes in a job of an earlier life.
-    pub(crate) fn restore_job(&self, scene: Option<Arc<SceneEntry>>, record: &JobRecord) {
-        let mut state = self.jobs.lock();
+    pub(crate) fn restore(&self, scene: Option<Arc<SceneEntry>>, record: &JobRecord) {
+        let mut state = self.lock();
         let number = record.job.number;
         state.handle(self, self.ids.scene(record.job.scene), scene, record);
         state.queue.restore(record.job.clone());
@@ -79,19 +78,19 @@ impl App {
     }
 
     /// Numbers up to this one were given in earlier lives.
-    pub(crate) fn begin_jobs_after(&self, newest: JobNumber) {
-        self.jobs.lock().queue.begin_after(newest);
+    pub(crate) fn begin_after(&self, newest: JobNumber) {
+        self.lock().queue.begin_after(newest);
     }
 
     /// Lets jobs start.
-    pub(crate) fn start_jobs(self: &Arc<App>) {
-        self.start_what_can(&mut self.jobs.lock());
+    pub(crate) fn start(self: &Arc<Jobs>) {
+        self.start_what_can(&mut self.lock());
     }
 
     /// Starts nothing any more and stops what runs. Where jobs are kept they go on in the next life of the service,
     /// else they are canceled.
-    pub(crate) fn close_jobs(&self) {
-        let mut state = self.jobs.lock();
+    pub(crate) fn close(&self) {
+        let mut state = self.lock();
         state.closed = true;
         state.idle.iter().for_each(|refining| refining.ask(Asked::Interrupt));
         let open: Vec<JobNumber> = state.queue.iter().filter(|job| !job.has_ended()).map(|job| job.number).collect();
@@ -106,7 +105,7 @@ impl App {
 
     /// Ends all work of a scene that will not come back.
     pub(crate) fn cancel_scene(&self, scene: &SceneEntry) {
-        let mut state = self.jobs.lock();
+        let mut state = self.lock();
         for job in state.queue.open_of(scene.number) {
             self.cancel_now(&mut state, job, Timestamp::now());
         }
@@ -114,19 +113,19 @@ impl App {
     }
 
     /// A scene is prepared: what waited for it is in line.
-    pub(crate) fn start_jobs_of(self: &Arc<App>, scene: SceneNumber) {
-        let mut state = self.jobs.lock();
+    pub(crate) fn scene_prepared(self: &Arc<Jobs>, scene: SceneNumber) {
+        let mut state = self.lock();
         state.queue.scene_prepared(scene);
         self.start_what_can(&mut state);
     }
 
     /// A scene cannot be built: nobody can do what waits for it.
-    pub(crate) fn fail_jobs_of(&self, scene: &SceneEntry, error: &str) {
-        let mut state = self.jobs.lock();
+    pub(crate) fn scene_failed(&self, scene: &SceneEntry, error: &str) {
+        let mut state = self.lock();
         for number in state.queue.open_of(scene.number) {
             let now = Timestamp::now();
             let kept = self.keep_change(&state, number, |job| job.end(Outcome::Failed(error.to_owned()), now));
-            kept.unwrap_or_else(|error| self.note_unsaved(scene, &error));
+            kept.unwrap_or_else(|error| self.saving.note_unsaved(scene, &error));
             if state.queue.fail(number, error, now) {
                 state.ended(self, number);
             }
@@ -136,16 +135,16 @@ impl App {
 
     /// Cancels a job. A running one stops soon; a queued one is canceled, and what its edit changed is published
     /// where no job that is still open will do so.
-    pub(crate) fn cancel_job(&self, number: JobNumber) -> Result<Change, StoreError> {
-        let mut state = self.jobs.lock();
+    pub(crate) fn cancel(&self, number: JobNumber) -> Result<Change, StoreError> {
+        let mut state = self.lock();
         let now = Timestamp::now();
         self.keep_change(&state, number, |job| _ = job.cancel(now))?;
         Ok(self.cancel_now(&mut state, number, now))
     }
 
     /// Pauses a job: one that runs makes room soon.
-    pub(crate) fn pause_job(&self, number: JobNumber) -> Result<Change, StoreError> {
-        let mut state = self.jobs.lock();
+    pub(crate) fn pause(&self, number: JobNumber) -> Result<Change, StoreError> {
+        let mut state = self.lock();
         self.keep_change(&state, number, |job| _ = job.pause())?;
         let change = state.queue.pause(number);
         if change == Change::Requested
@@ -158,8 +157,8 @@ impl App {
     }
 
     /// Puts a paused job in line again.
-    pub(crate) fn resume_job(self: &Arc<App>, number: JobNumber) -> Result<Change, StoreError> {
-        let mut state = self.jobs.lock();
+    pub(crate) fn resume(self: &Arc<Jobs>, number: JobNumber) -> Result<Change, StoreError> {
+        let mut state = self.lock();
         self.keep_change(&state, number, |job| _ = job.resume(0))?;
         let change = state.queue.resume(number);
         state.tell(self, number);
@@ -191,19 +190,13 @@ impl App {
     }
 
     /// Takes over the end of a job's run, once that and its light are kept.
-    pub(super) fn finish_job(
-        self: &Arc<App>,
-        number: JobNumber,
-        scene: &SceneEntry,
-        end: &RunEnd,
-        pool: Arc<ThreadPool>,
-    ) {
+    pub(super) fn finish(self: &Arc<Jobs>, number: JobNumber, scene: &SceneEntry, end: &RunEnd, pool: Arc<ThreadPool>) {
         let now = Timestamp::now();
         let kept = match self.store.is_durable() {
             true => self.keep_end(number, scene, end, now),
             false => Vec::new(),
         };
-        let mut state = self.jobs.lock();
+        let mut state = self.lock();
         let changed = state.queue.finish(number, end, now);
         // One that was merged and canceled while its end was being kept ended as its client was told; one that made way and was
         // canceled just then has ended.
@@ -213,7 +206,7 @@ impl App {
         for job in kept.iter().filter(|job| !changed.contains(job)).chain(canceled) {
             let record = state.queue.get(*job).cloned().and_then(|job| state.record(job));
             if let Some(Err(error)) = record.map(|record| self.store.job_changed(&record)) {
-                self.note_unsaved(scene, &error);
+                self.saving.note_unsaved(scene, &error);
             }
         }
         for number in changed {
@@ -231,7 +224,7 @@ impl App {
     /// Keeps the end of a job and of those merged into it, with the light; answers which have ended.
     fn keep_end(&self, number: JobNumber, scene: &SceneEntry, end: &RunEnd, now: Timestamp) -> Vec<JobNumber> {
         let records: Vec<JobRecord> = {
-            let state = self.jobs.lock();
+            let state = self.lock();
             let ended = state.queue.preview_finish(number, end, now);
             ended.into_iter().filter_map(|job| state.record(job)).collect()
         };
@@ -243,7 +236,7 @@ impl App {
         for record in &records {
             if let Err(error) = self.store.job_ended(record, light.take().as_ref()) {
                 // Nothing is lost: after a restart the job runs once more.
-                self.note_unsaved(scene, &error);
+                self.saving.note_unsaved(scene, &error);
                 return Vec::new();
             }
         }

@@ -33,14 +33,18 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 
 use crate::api::types;
-use crate::compute::build_pool;
+use crate::compute::{Compute, build_pool};
 use crate::config::Config;
 use crate::engine::{Budget, Importance};
 use crate::events::EventLog;
-use crate::state::App;
+use crate::ids::Ids;
+use crate::metrics::Metrics;
+use crate::saving::Saving;
+use crate::store::Store;
 use crate::store::lighting::Sequence;
 use crate::store::records::{JobRecord, stored_importance};
 use crate::store::scene::SceneEntry;
+use crate::store::scenes::Scenes;
 
 use budget::JobBudget;
 use queue::{Job, JobKind, JobNumber, Priority, Queue, QueueLimits};
@@ -83,11 +87,31 @@ impl JobSpec {
 
 /// The queue with what its jobs need to run.
 pub(crate) struct Jobs {
+    config: Arc<Config>,
+    ids: Ids,
+    scenes: Arc<Scenes>,
+    store: Arc<dyn Store>,
+    saving: Saving,
+    compute: Compute,
+    metrics: Arc<Metrics>,
     state: Mutex<State>,
+    /// Jobs that run at the same time.
     slots: usize,
     /// Where light maps are refined while no job waits: a job that comes finds its own threads free.
     idle_pool: Option<ThreadPool>,
+    /// How many run.
     running: watch::Sender<usize>,
+}
+
+/// The parts of the service that jobs work with.
+pub(crate) struct Means {
+    pub(crate) config: Arc<Config>,
+    pub(crate) ids: Ids,
+    pub(crate) scenes: Arc<Scenes>,
+    pub(crate) store: Arc<dyn Store>,
+    pub(crate) saving: Saving,
+    pub(crate) compute: Compute,
+    pub(crate) metrics: Arc<Metrics>,
 }
 
 struct State {
@@ -129,7 +153,8 @@ struct Handle {
 }
 
 impl Jobs {
-    pub(crate) fn new(config: &Config) -> Result<Jobs, ThreadPoolBuildError> {
+    pub(crate) fn new(means: Means) -> Result<Jobs, ThreadPoolBuildError> {
+        let Means { config, ids, scenes, store, saving, compute, metrics } = means;
         let limits = &config.limits;
         let slots = config.job_slots.max(1);
         // One more than slots, for what is urgent.
@@ -144,7 +169,8 @@ impl Jobs {
         let idle_pool = config.idle_refine.map(|_| build_pool("idle", config.threads)).transpose()?;
         let state =
             State { queue, handles: HashMap::new(), pools, idle: None, closed: false, just_ended: VecDeque::new() };
-        Ok(Jobs { state: Mutex::new(state), slots, idle_pool, running: watch::Sender::new(0) })
+        let (state, running) = (Mutex::new(state), watch::Sender::new(0));
+        Ok(Jobs { config, ids, scenes, store, saving, compute, metrics, state, slots, idle_pool, running })
     }
 
     /// Looks at the queue.
@@ -200,17 +226,17 @@ impl State {
     }
 
     /// Tells everybody of a job's state. Under the queue's lock, so that events come in the order of the changes.
-    fn tell(&self, app: &App, number: JobNumber) {
+    fn tell(&self, jobs: &Jobs, number: JobNumber) {
         let (Some(job), Some(handle)) = (self.queue.get(number), self.handles.get(&number)) else { return };
-        let data = types::to_event_data(&types::Job::new(&app.ids, job, &handle.about));
+        let data = types::to_event_data(&types::Job::new(&jobs.ids, job, &handle.about));
         if let Some(scene) = &handle.scene {
             scene.events.push("job", data.clone());
         }
         handle.events.push_state("job", data);
     }
 
-    fn ended(&mut self, app: &App, number: JobNumber) {
-        self.tell(app, number);
+    fn ended(&mut self, jobs: &Jobs, number: JobNumber) {
+        self.tell(jobs, number);
         if let Some(handle) = self.handles.get_mut(&number) {
             handle.events.close();
             handle.scene = None;
@@ -225,7 +251,7 @@ impl State {
         for old in &forgotten {
             self.handles.remove(old);
         }
-        app.forget_jobs(&forgotten);
+        jobs.saving.forget_jobs(&forgotten);
     }
 
     /// What is kept of a job.
@@ -234,8 +260,8 @@ impl State {
         Some(JobRecord { job, spec })
     }
 
-    fn handle(&mut self, app: &App, scene_id: String, scene: Option<Arc<SceneEntry>>, record: &JobRecord) {
-        let events = Arc::new(EventLog::new(app.config.limits.events, app.first_event));
+    fn handle(&mut self, jobs: &Jobs, scene_id: String, scene: Option<Arc<SceneEntry>>, record: &JobRecord) {
+        let events = Arc::new(EventLog::new(jobs.config.limits.events, jobs.ids.first_event));
         let about = About { scene: scene_id, sequence: record.spec.sequence };
         let handle =
             Handle { about, scene, accepted: Instant::now(), events, stop: Arc::default(), spec: record.spec.clone() };

@@ -4,12 +4,12 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
+use super::Jobs;
 use super::budget::{JobBudget, Pace, fraction, remaining_ms};
 use super::phases::PhaseClock;
 use super::queue::{JobNumber, JobProgress};
 use super::stop::{Asked, Stop};
 use crate::engine::{LightMap, Observer, Progress, Snapshot, lengthened};
-use crate::state::App;
 use crate::store::lighting::{Lit, Sequence};
 use crate::store::scene::SceneEntry;
 
@@ -61,7 +61,7 @@ impl Mark {
 
 /// Observes one job, one piece of its work (a bake, or a step of an update) after the other.
 pub(crate) struct JobObserver<'a> {
-    pub(crate) app: &'a Arc<App>,
+    pub(crate) jobs: &'a Arc<Jobs>,
     pub(crate) scene: &'a Arc<SceneEntry>,
     pub(crate) job: JobNumber,
     pub(crate) budget: JobBudget,
@@ -115,14 +115,14 @@ struct State {
 
 impl<'a> JobObserver<'a> {
     pub(crate) fn new(
-        app: &'a Arc<App>,
+        jobs: &'a Arc<Jobs>,
         scene: &'a Arc<SceneEntry>,
         job: JobNumber,
         budget: JobBudget,
         (stop, accepted): (&'a Stop, Instant),
     ) -> JobObserver<'a> {
         JobObserver {
-            app,
+            jobs,
             scene,
             job,
             budget,
@@ -146,7 +146,7 @@ impl<'a> JobObserver<'a> {
     /// The last complete map since [`JobObserver::begin`].
     pub(crate) fn take_complete(&self) -> Option<Complete> {
         let mut state = self.lock();
-        state.clock.stop(&self.app.metrics);
+        state.clock.stop(&self.jobs.metrics);
         state.complete.take()
     }
 
@@ -185,7 +185,7 @@ impl<'a> JobObserver<'a> {
             Yields::ToNextStep => asked >= Asked::NextStep && reached >= Reached::Shown,
             Yields::OnceStated => asked >= Asked::NewerEdit && reached == Reached::Stated,
             Yields::AtOnce if asked == Asked::MakeRoom => {
-                reached == Reached::Stated && self.started.elapsed() >= self.app.config.timeouts.share
+                reached == Reached::Stated && self.started.elapsed() >= self.jobs.config.timeouts.share
             }
             Yields::AtOnce => asked >= Asked::NewerEdit,
         }
@@ -217,7 +217,7 @@ impl<'a> JobObserver<'a> {
             version,
             remaining_ms: remaining_ms(fraction, elapsed),
         };
-        self.app.report(self.job, report);
+        self.jobs.report(self.job, report);
     }
 
     /// With the samples of the light that the piece starts from.
@@ -238,11 +238,11 @@ impl Observer for JobObserver<'_> {
     fn progress(&self, progress: &Progress) {
         let version = {
             let mut state = self.lock();
-            state.clock.tick(&self.app.metrics, progress);
+            state.clock.tick(&self.jobs.metrics, progress);
             let pass = progress.pass.as_str();
             let is_news = state
                 .reported
-                .is_none_or(|(at, last_pass)| last_pass != pass || at.elapsed() >= self.app.config.timeouts.progress);
+                .is_none_or(|(at, last_pass)| last_pass != pass || at.elapsed() >= self.jobs.config.timeouts.progress);
             if !is_news {
                 return;
             }
@@ -299,7 +299,7 @@ impl JobObserver<'_> {
         if snapshot == Snapshot::Estimate {
             self.reached.raise(Reached::Shown);
         }
-        if !self.app.may_publish(self.scene) {
+        if !self.jobs.saving.may_publish(self.scene) {
             return;
         }
         let is_right = matches!(snapshot, Snapshot::Complete { .. });
@@ -312,16 +312,16 @@ impl JobObserver<'_> {
             state.reported = Some((Instant::now(), progress.pass.as_str()));
             let saved = state.saved.get_or_insert(self.started);
             // What is not right is not worth keeping.
-            let is_due = is_right && saved.elapsed() >= self.app.config.timeouts.save;
+            let is_due = is_right && saved.elapsed() >= self.jobs.config.timeouts.save;
             if is_due {
                 state.saved = Some(Instant::now());
             }
             is_due
         };
         self.report(progress, Some(published.version));
-        self.app.tell_snapshot(self.scene, Some(self.job), &published, Some(&self.counted(progress)));
+        self.jobs.tell_snapshot(self.scene, Some(self.job), &published, Some(&self.counted(progress)));
         if is_due {
-            self.app.save_soon(self.scene);
+            self.jobs.saving.save_soon(self.scene);
         }
     }
 }

@@ -71,7 +71,7 @@ pub fn is_idle(queue: &Queue) -> bool {
 
 /// A scene on which idle time can be spent: its light is up to date.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Settled {
+pub struct UpToDate {
     /// Which one.
     pub scene: SceneNumber,
     /// Stated error of its light map.
@@ -92,8 +92,8 @@ pub struct Spell {
 /// What idle time is spent on: the scene whose stated error is the largest part of its mean light, until that has
 /// halved or is down to `goal`. None where all scenes are that good. A map without light or without a stated error
 /// stays as it is.
-pub fn idle(scenes: &[Settled], goal: f64) -> Option<Spell> {
-    let share = |scene: &Settled| scene.stated / scene.mean;
+pub fn idle(scenes: &[UpToDate], goal: f64) -> Option<Spell> {
+    let share = |scene: &UpToDate| scene.stated / scene.mean;
     let worst = scenes
         .iter()
         .filter(|scene| scene.stated > 0.0 && scene.mean > 0.0 && share(scene).is_finite() && share(scene) > goal)

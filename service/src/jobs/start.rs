@@ -8,15 +8,14 @@ use super::budget::JobBudget;
 use super::queue::{JobKind, JobNumber, SceneNumber};
 use super::scheduler::{self, Decision};
 use super::stop::{Asked, Stop};
-use super::{JobSpec, State, merge, worker};
-use crate::state::App;
+use super::{JobSpec, Jobs, State, merge, worker};
 use crate::store::lighting::Sequence;
 
-impl App {
+impl Jobs {
     /// Starts whatever the scheduler finds room for, and asks what is to make room.
-    pub(super) fn start_what_can(self: &Arc<App>, state: &mut State) {
+    pub(super) fn start_what_can(self: &Arc<Jobs>, state: &mut State) {
         while !state.closed
-            && let Decision::Start(number) = scheduler::tick(&state.queue, self.jobs.slots)
+            && let Decision::Start(number) = scheduler::tick(&state.queue, self.slots)
         {
             let Some(pool) = state.pools.pop() else { break };
             let batch = state.batch(number);
@@ -48,7 +47,7 @@ impl App {
             state.handles.get(&number).into_iter().for_each(|handle| handle.stop.ask(Asked::MakeRoom));
         }
         self.refine_if_idle(state);
-        self.jobs.running.send_replace(state.running());
+        self.running.send_replace(state.running());
     }
 }
 

@@ -6,21 +6,20 @@ use super::budget::JobBudget;
 use super::queue::{JobKind, Priority};
 use super::seeds::next_seed;
 use super::stop::Asked;
-use super::{JobSpec, new_record};
-use crate::state::App;
+use super::{JobSpec, Jobs, new_record};
 use crate::store::records::Accepted;
 use crate::store::scene::SceneEntry;
 
 /// Seeds of jobs that no request asked for lie here, those of requests far below.
 const FIRST_SEED: u64 = 1 << 49;
 
-impl App {
+impl Jobs {
     /// Gives a scene another target. Jobs that work towards the old one go on towards the new one, and where none does, one
     /// begins if there is anything to do.
-    pub(crate) fn set_target(self: &Arc<App>, scene: &Arc<SceneEntry>, target: JobBudget) {
+    pub(crate) fn set_target(self: &Arc<Jobs>, scene: &Arc<SceneEntry>, target: JobBudget) {
         scene.set_target(target);
         {
-            let mut state = self.jobs.lock();
+            let mut state = self.lock();
             for number in state.queue.open_of(scene.number) {
                 let Some(job) = state.queue.get(number).filter(|job| job.kind.is_for_target()).cloned() else {
                     continue;
@@ -31,7 +30,7 @@ impl App {
                     handle.stop.ask(Asked::NewerEdit);
                 }
                 if let Some(Err(error)) = state.record(job).map(|record| self.store.job_changed(&record)) {
-                    self.note_unsaved(scene, &error);
+                    self.saving.note_unsaved(scene, &error);
                 }
             }
         }
@@ -40,12 +39,12 @@ impl App {
 
     /// Queues a job that brings a scene's light closer to its target, where it is not there yet and none is open that will.
     /// Takes the scene's head: not from an async thread.
-    pub(crate) fn work_towards_target(self: &Arc<App>, scene: &Arc<SceneEntry>) {
+    pub(crate) fn work_towards_target(self: &Arc<Jobs>, scene: &Arc<SceneEntry>) {
         let head = scene.head.blocking_lock();
         let Some(target) = scene.target().filter(|target| !scene.is_deleted() && scene.is_behind(target)) else {
             return;
         };
-        if self.jobs.with_queue(|queue| queue.has_target_work(scene.number)) {
+        if self.with_queue(|queue| queue.has_target_work(scene.number)) {
             return;
         }
         // A full queue has enough to do: the next edit asks again.
@@ -56,7 +55,7 @@ impl App {
         let accepted = Accepted { scene: scene.number, edit: None, job: &record, key: None, jobs: head.jobs };
         match self.store.accepted(&accepted) {
             Ok(()) => drop(ticket.submit(scene, &record, || ())),
-            Err(error) => self.note_unsaved(scene, &error),
+            Err(error) => self.saving.note_unsaved(scene, &error),
         }
     }
 }

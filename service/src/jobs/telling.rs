@@ -2,26 +2,26 @@
 
 use std::sync::Arc;
 
+use super::Jobs;
 use super::queue::{JobNumber, JobProgress};
 use crate::api::types;
 use crate::engine::Progress;
-use crate::state::App;
 use crate::store::lighting::Sequence;
 use crate::store::scene::SceneEntry;
 use crate::store::versions::Published;
 
-impl App {
+impl Jobs {
     /// Publishes geometry that was accepted and that no open job will publish.
     pub(crate) fn show_accepted(&self, scene: &Arc<SceneEntry>, accepted: Sequence) {
         let upto = {
-            let state = self.jobs.lock();
+            let state = self.lock();
             if state.queue.running_on(scene.number).is_some() {
                 return;
             }
             let open = state.queue.open_of(scene.number).into_iter().filter_map(|job| state.handles.get(&job));
             open.map(|handle| handle.spec.sequence.saturating_sub(1)).min().unwrap_or(accepted)
         };
-        if self.may_publish(scene)
+        if self.saving.may_publish(scene)
             && let Some(published) = scene.show(upto.min(accepted))
         {
             self.tell_edited(scene, None, &published);
@@ -30,7 +30,7 @@ impl App {
 
     /// A running job's progress.
     pub(crate) fn report(&self, number: JobNumber, progress: JobProgress) {
-        let mut state = self.jobs.lock();
+        let mut state = self.lock();
         state.queue.report(number, progress);
         state.tell(self, number);
     }
@@ -53,7 +53,7 @@ impl App {
         };
         self.metrics.published(published);
         let data = types::to_event_data(&event);
-        if let Some(log) = job.and_then(|number| self.jobs.events(number)) {
+        if let Some(log) = job.and_then(|number| self.events(number)) {
             log.push("snapshot", data.clone());
         }
         scene.events.push("snapshot", data);

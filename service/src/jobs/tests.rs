@@ -6,7 +6,7 @@ use super::queue::{
     Change, Ended, Full, Job, JobKind, JobNumber, JobProgress, JobState, Outcome, Priority, Queue, QueueLimits,
     Requests, RunEnd, SceneNumber, Stage,
 };
-use super::scheduler::{Decision, Settled, Spell, idle, is_idle, make_room, tick};
+use super::scheduler::{Decision, Spell, UpToDate, idle, is_idle, make_room, tick};
 
 const NOW: Timestamp = Timestamp::UNIX_EPOCH;
 
@@ -330,7 +330,7 @@ fn only_what_runs_or_could_run_keeps_the_service_busy() {
 
 #[test]
 fn idle_time_goes_to_the_worst_scene_until_all_are_good_enough() {
-    let scene = |scene, stated, mean| Settled { scene, stated, mean };
+    let scene = |scene, stated, mean| UpToDate { scene, stated, mean };
     let spell = |scene, target| Some(Spell { scene, target });
     // The error counts as a part of the light: a dark scene needs a smaller one.
     let scenes = [scene(1, 0.08, 2.0), scene(2, 0.05, 0.5), scene(3, 0.01, 0.5)];
@@ -349,7 +349,7 @@ fn idle_time_goes_to_the_worst_scene_until_all_are_good_enough() {
 fn a_round_of_spells_ends() {
     // Each spell brings a scene to its target: how many until all are good enough?
     let mut scenes =
-        [(1, 1.0, 1.0), (2, 0.3, 2.0), (3, 5.0, 0.7)].map(|(scene, stated, mean)| Settled { scene, stated, mean });
+        [(1, 1.0, 1.0), (2, 0.3, 2.0), (3, 5.0, 0.7)].map(|(scene, stated, mean)| UpToDate { scene, stated, mean });
     let mut spells = 0;
     while let Some(spell) = idle(&scenes, 0.01) {
         let worst = scenes.iter_mut().find(|scene| scene.scene == spell.scene).unwrap();

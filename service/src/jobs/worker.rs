@@ -11,13 +11,12 @@ use super::observer::{JobObserver, Piece, Yields};
 use super::queue::{JobKind, JobNumber, Outcome, RunEnd};
 use super::seeds::mixed;
 use super::stop::{Asked, Stop};
-use super::{JobSpec, merge};
+use super::{JobSpec, Jobs, merge};
 use crate::compute::catching;
 use crate::engine::{
     Budget, Canceled, Edit, LightMap, Pass, Progress, Snapshot, Transition, Update, World, carry_over, have_same_slots,
     lengthened, with_layers_of,
 };
-use crate::state::App;
 use crate::store::lighting::{Samples, Sequence, Unlit, Work};
 use crate::store::scene::SceneEntry;
 
@@ -32,14 +31,14 @@ pub(crate) struct Run {
 }
 
 /// Runs a job on `pool` and hands the pool back at the end. Whatever happens in between, the job ends.
-pub(crate) fn spawn(app: Arc<App>, run: Run, pool: &Arc<ThreadPool>) {
+pub(crate) fn spawn(jobs: Arc<Jobs>, run: Run, pool: &Arc<ThreadPool>) {
     let its_pool = pool.clone();
     pool.spawn(move || {
-        let span = tracing::info_span!("job", job = app.ids.job(run.job), scene = run.scene.id, kind = ?run.kind);
+        let span = tracing::info_span!("job", job = jobs.ids.job(run.job), scene = run.scene.id, kind = ?run.kind);
         let _in_span = span.entered();
         tracing::info!(samples = run.spec.budget.samples_per_element, seed = run.spec.seed, "started");
         let started = std::time::Instant::now();
-        let end = catching(|| light(&app, &run));
+        let end = catching(|| light(&jobs, &run));
         let end = end.unwrap_or_else(|panic| RunEnd::Ended(Outcome::Failed(panic.to_string())));
         if let RunEnd::Ended(Outcome::Failed(error)) = &end {
             tracing::error!(error, "failed");
@@ -51,8 +50,8 @@ pub(crate) fn spawn(app: Arc<App>, run: Run, pool: &Arc<ThreadPool>) {
             Ended { scene: run.scene.clone(), sequence: run.spec.sequence, asks_for_more: run.asks_for_more(&end) };
         let job = run.job;
         drop(run);
-        app.finish_job(job, &ended.scene, &end, its_pool);
-        after(&app, ended);
+        jobs.finish(job, &ended.scene, &end, its_pool);
+        after(&jobs, ended);
     });
 }
 
@@ -74,24 +73,24 @@ struct Ended {
 
 /// What may follow a job: work towards the scene's target, and while nobody waits geometry of canceled edits behind it, and
 /// fresh trees.
-fn after(app: &Arc<App>, ended: Ended) {
+fn after(jobs: &Arc<Jobs>, ended: Ended) {
     let Ended { scene, sequence, asks_for_more } = ended;
     if scene.is_deleted() {
         return;
     }
-    let app = app.clone();
-    app.clone().compute.spawn(move || {
+    let jobs = jobs.clone();
+    jobs.clone().compute.spawn(move || {
         if asks_for_more {
-            app.work_towards_target(&scene);
+            jobs.work_towards_target(&scene);
         }
         let (world, accepted) = {
             let head = scene.head.blocking_lock();
             (head.world.clone(), head.sequence)
         };
         if accepted > sequence {
-            app.show_accepted(&scene, accepted);
+            jobs.show_accepted(&scene, accepted);
         }
-        let is_busy = app.jobs.with_queue(|queue| queue.current(scene.number).is_some());
+        let is_busy = jobs.with_queue(|queue| queue.current(scene.number).is_some());
         if is_busy || !world.needs_rebuild() {
             return;
         }
@@ -105,21 +104,21 @@ fn after(app: &Arc<App>, ended: Ended) {
 }
 
 /// Brings the light map up to date with the job's edit.
-fn light(app: &Arc<App>, run: &Run) -> RunEnd {
+fn light(jobs: &Arc<Jobs>, run: &Run) -> RunEnd {
     let Run { job, kind, scene, stop, accepted, spec } = run;
-    let mut observer = JobObserver::new(app, scene, *job, spec.budget, (stop, *accepted));
-    if app.may_publish(scene)
+    let mut observer = JobObserver::new(jobs, scene, *job, spec.budget, (stop, *accepted));
+    if jobs.saving.may_publish(scene)
         && let Some(published) = scene.show(spec.sequence)
     {
         observer.shown(published.version);
-        app.tell_edited(scene, Some(*job), &published);
+        jobs.tell_edited(scene, Some(*job), &published);
     }
-    let (work, shown, floor) = scene.work(app.config.limits.unlit_edits);
+    let (work, shown, floor) = scene.work(jobs.config.limits.unlit_edits);
     match work {
         Work::Bake(world) => {
             let yields = if kind.is_for_target() { Yields::AtOnce } else { Yields::OnceStated };
             observer.begin(Piece { sequence: shown, slots: world.slots(), floor, yields, before: 0 });
-            let result = app.config.engine.bake(&world, &spec.engine_budget(), spec.seed, &observer);
+            let result = jobs.config.engine.bake(&world, &spec.engine_budget(), spec.seed, &observer);
             match take_over_end(&observer, scene, (shown, Samples::Fresh), result) {
                 Ok(_) => done(run),
                 Err(end) => end,
@@ -164,7 +163,7 @@ fn refine(
     let budget = Budget { samples_per_element: left, ..spec.engine_budget() };
     // Runs of one job must not repeat the samples that the map holds: each has a seed of its own.
     let seed = mixed(spec.seed ^ u64::from(before) << 32) ^ scene.published().version;
-    let result = observer.app.config.engine.refine(&world, map, &budget, seed, observer);
+    let result = observer.jobs.config.engine.refine(&world, map, &budget, seed, observer);
     match take_over_end(observer, scene, (sequence, Samples::More), result) {
         Ok(_) => done(run),
         Err(end) => end,
@@ -213,7 +212,7 @@ fn light_step(
     let budget = &spec.engine_budget();
     let importance = Some(&spec.importance).filter(|_| is_last);
     let work = Update { transition, map, budget, importance, seed: spec.seed.wrapping_add(index as u64) };
-    let result = observer.app.config.engine.update(&work, observer).map(|map| lengthened(&map, step.slots));
+    let result = observer.jobs.config.engine.update(&work, observer).map(|map| lengthened(&map, step.slots));
     if result.is_err() && observer.ended_as_estimate() {
         // The estimate stays in sight, but the next step starts from the light that is right.
         step.as_unlit().into_iter().for_each(|unlit| scene.fold_unlit(unlit));
@@ -235,7 +234,7 @@ fn first_frame(
 ) -> Option<()> {
     let basis = match scene.drag.get(&transition.after) {
         Some(basis) => basis,
-        None => scene.drag.keep(observer.app.config.engine.drag_basis(&transition.after, seed, observer).ok()?),
+        None => scene.drag.keep(observer.jobs.config.engine.drag_basis(&transition.after, seed, observer).ok()?),
     };
     let frame = basis.frame(transition, map, seed, observer).ok()??;
     observer.publish(&Arc::new(frame), Snapshot::Estimate, &Progress::at_once(Pass::Direct, 1, None));

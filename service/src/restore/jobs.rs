@@ -27,7 +27,7 @@ pub(super) fn restore_job(app: &App, mut record: JobRecord) {
             tracing::warn!(%error, "the end of a job could not be saved");
         }
     }
-    app.restore_job(scene, &record);
+    app.jobs.restore(scene, &record);
 }
 
 /// Queues a bake of a scene whose light is lost, unless a job waits that will do it.
@@ -43,7 +43,7 @@ pub(super) fn bake_again(app: &Arc<App>, scene: &Arc<SceneEntry>) {
     let seed = crate::jobs::seeds::next_seed(app.config.seed, &mut jobs);
     let sequence = head.sequence;
     let spec = JobSpec::new(budget, seed, sequence);
-    let Ok(ticket) = app.ticket(scene.number) else { return };
+    let Ok(ticket) = app.jobs.ticket(scene.number) else { return };
     let record = new_record(ticket.number, scene, (JobKind::Bake, Priority::Normal), spec);
     let accepted = crate::store::records::Accepted { scene: scene.number, edit: None, job: &record, key: None, jobs };
     match app.store.accepted(&accepted) {

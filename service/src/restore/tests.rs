@@ -72,6 +72,6 @@ fn a_bad_row_of_any_table_leaves_all_other_scenes_served() {
         // A bake that is queued anew may have ended by now, and with it the error.
         let is_baked = expected == told && found == whole;
         assert!(found == expected || is_baked, "{break_it}: {found:?}");
-        app.close_jobs();
+        app.jobs.close();
     }
 }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use glam::Vec3;
 use rebake_core::delta::{Frame, same_bits};
 
-use super::versions::Part;
+use super::versions::LightPart;
 use crate::engine::{Layer, LightMap, VALUE_BYTES};
 
 /// Bytes of one element in one layer: its values, and the version that last changed it.
@@ -38,7 +38,7 @@ impl PublishedLayer {
         old: &[PublishedLayer],
         map: &LightMap,
         weights: &[Vec3],
-        part: Part,
+        part: LightPart,
         version: u64,
     ) -> Vec<PublishedLayer> {
         let next = |(layer, weight): (&Arc<Layer>, &Vec3)| {
@@ -59,7 +59,7 @@ impl PublishedLayer {
         PublishedLayer { layer: layer.clone(), weight, born: version, changed }
     }
 
-    fn changed_by(&self, layer: &Layer, part: Part, version: u64) -> Arc<[u64]> {
+    fn changed_by(&self, layer: &Layer, part: LightPart, version: u64) -> Arc<[u64]> {
         let (old, new) = (self.layer.light.part(part), layer.light.part(part));
         let since = |slot: usize| match old.get(slot) {
             Some(value) if same_bits(*value, new[slot]) => self.changed[slot],
@@ -69,13 +69,13 @@ impl PublishedLayer {
     }
 
     /// One value per slot, at reference strengths.
-    pub(crate) fn values(&self, part: Part) -> Cow<'_, [Vec3]> {
+    pub(crate) fn values(&self, part: LightPart) -> Cow<'_, [Vec3]> {
         self.layer.light.part(part)
     }
 
     /// What a client lacks that has the layer's values (of the `part` that is published) at version `since`; everything
     /// where that is 0 or nothing is known of that version.
-    pub(crate) fn delta(&self, part: Part, since: u64, version: u64) -> Frame {
+    pub(crate) fn delta(&self, part: LightPart, since: u64, version: u64) -> Frame {
         let values = self.values(part);
         if since == 0 || since < self.born {
             return Frame::whole(&values, version);
@@ -111,19 +111,19 @@ mod tests {
         let first = PublishedLayer::first(&one, &weights, 5);
         // A slot more, a slot changed, another layer.
         let two = map(&[("b", vec![0.0; 3]), ("a", vec![1.0, 3.0, 0.0])]);
-        let second = PublishedLayer::next(&first, &two, &weights, Part::Full, 6);
+        let second = PublishedLayer::next(&first, &two, &weights, LightPart::Full, 6);
         // Only weights change.
-        let third = PublishedLayer::next(&second, &two, &[Vec3::ZERO; 2], Part::Full, 7);
+        let third = PublishedLayer::next(&second, &two, &[Vec3::ZERO; 2], LightPart::Full, 7);
         let [b, a] = third.as_slice() else { panic!("two layers") };
         let values = |first: u32, frame: &Frame| (frame.runs[0].first == first).then_some(frame.values.len());
-        assert_eq!(values(1, &a.delta(Part::Full, 5, 7)), Some(2));
-        assert!(a.delta(Part::Full, 6, 7).values.is_empty());
-        for whole in [a.delta(Part::Full, 4, 7), a.delta(Part::Full, 0, 7), b.delta(Part::Full, 5, 7)] {
+        assert_eq!(values(1, &a.delta(LightPart::Full, 5, 7)), Some(2));
+        assert!(a.delta(LightPart::Full, 6, 7).values.is_empty());
+        for whole in [a.delta(LightPart::Full, 4, 7), a.delta(LightPart::Full, 0, 7), b.delta(LightPart::Full, 5, 7)] {
             assert!(whole.flags.replace_all && whole.base == 0 && whole.values.len() == 3);
         }
-        let mut client = first[0].values(Part::Full).into_owned();
-        a.delta(Part::Full, 5, 7).apply(&mut client).unwrap();
-        assert_eq!(client, *a.values(Part::Full));
-        assert_eq!((a.weight, a.values(Part::Indirect)[0]), (Vec3::ZERO, Vec3::ONE));
+        let mut client = first[0].values(LightPart::Full).into_owned();
+        a.delta(LightPart::Full, 5, 7).apply(&mut client).unwrap();
+        assert_eq!(client, *a.values(LightPart::Full));
+        assert_eq!((a.weight, a.values(LightPart::Indirect)[0]), (Vec3::ZERO, Vec3::ONE));
     }
 }

@@ -8,7 +8,7 @@ use std::borrow::Cow;
 use std::sync::{Arc, OnceLock};
 
 use glam::Vec3;
-pub(crate) use rebake_core::LightPart as Part;
+pub(crate) use rebake_core::LightPart;
 use rebake_core::delta::{Frame, same_bits};
 use serde::{Deserialize, Serialize};
 
@@ -56,7 +56,7 @@ impl Lineage {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Wanted {
     /// Some of its light.
-    Light(Part),
+    Light(LightPart),
     /// The standard error of each element, of the light that is the scene's mode.
     Error,
 }
@@ -64,9 +64,9 @@ pub(crate) enum Wanted {
 impl Wanted {
     pub(crate) fn as_str(self) -> &'static str {
         match self {
-            Wanted::Light(Part::Full) => "full",
-            Wanted::Light(Part::Direct) => "direct",
-            Wanted::Light(Part::Indirect) => "indirect",
+            Wanted::Light(LightPart::Full) => "full",
+            Wanted::Light(LightPart::Direct) => "direct",
+            Wanted::Light(LightPart::Indirect) => "indirect",
             Wanted::Error => "error",
         }
     }
@@ -276,7 +276,7 @@ impl Published {
     }
 
     /// The part of all light that the scene is about.
-    pub(crate) fn mode(&self) -> Part {
+    pub(crate) fn mode(&self) -> LightPart {
         self.mode.part()
     }
 
@@ -308,7 +308,7 @@ impl Published {
         self.estimated_rmse.is_some() && self.unknown.is_none()
     }
 
-    /// Infinite where nothing is known: an estimate, or an element that came after the light was computed.
+    /// Infinite where nothing is known: an estimate, or an element that was inserted after the light was computed.
     fn errors(&self, variance: &[f32]) -> Vec<Vec3> {
         self.world.standard_errors(variance, |slot| self.estimated_rmse.is_some() && self.is_known_at(slot))
     }
