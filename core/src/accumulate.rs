@@ -224,6 +224,7 @@ const LEAST_SCALE: f64 = 0.05;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::metrics::Family;
     use crate::random::Pcg32;
 
     #[test]
@@ -241,7 +242,10 @@ mod tests {
         let total = f64::from(acc.samples());
         let truth = mean.iter().map(|m| (m / total - 0.5).powi(2)).sum::<f64>() / len as f64;
         let stated = acc.variance().iter().map(|v| f64::from(*v)).sum::<f64>() / len as f64;
-        // Both are means over 4,000 elements: relative standard deviations √(2/4000) and √(2/4/4000), seven of them.
-        assert!((stated / truth - 1.0).abs() < 0.18, "{stated} {truth}");
+        // Both are means over 4,000 elements, of one and of four degrees of freedom each.
+        let deviation = ((2.0 + 2.0 / 4.0) / len as f64).sqrt();
+        let mut family = Family::of_known_errors();
+        family.compare("stated over true", stated / truth - 1.0, deviation);
+        family.assert_agrees();
     }
 }

@@ -145,6 +145,7 @@ mod tests {
     use super::*;
     use crate::bake::bake;
     use crate::job::{Budget, Unobserved};
+    use crate::metrics::Family;
     use crate::scene::{Light, LightKind, Material, Mesh, Object, Scene};
     use crate::world::WorldOptions;
 
@@ -195,11 +196,13 @@ mod tests {
         let found = gathered(&world, &LightMap::black(world.slots()), LightPart::Full, 256);
         let n = world.normals()[0];
         let slots = world.slots() as f32;
+        let mut family = Family::of_known_errors();
         for (k, axis) in [n.y, n.z, n.x].into_iter().enumerate() {
             let expected = 3.0 * (3.0 / (4.0 * PI)).sqrt() * PI * axis;
             let off = found.band[k].iter().map(|c| c.x - expected).sum::<f32>() / slots;
-            assert!(off.abs() < 4.0 * found.stated / slots.sqrt(), "{k}: {off} of {}", found.stated);
+            family.compare(format!("coefficient {k}"), off.into(), (found.stated / slots.sqrt()).into());
         }
+        family.assert_agrees();
         assert!(found.stated > 0.0 && found.stated < 0.2, "{}", found.stated);
     }
 
@@ -212,6 +215,7 @@ mod tests {
         let world = world(vec![Object::new("room", room, Material::diffuse(Vec3::splat(0.6))), lamp], None);
         let budget = Budget { samples_per_element: 128, target_rmse: None };
         let map = bake(&world, &budget, 1, &Unobserved).expect("a map");
+        let mut family = Family::of_known_errors();
         for (part, values) in [(LightPart::Full, None), (LightPart::Indirect, Some(&map.light.indirect))] {
             let found = gathered(&world, &map, part, 64);
             let other = directional(&world, &map, &DirectionalOptions { part, samples: 64, seed: 9 }, &Unobserved);
@@ -227,12 +231,10 @@ mod tests {
                 variance += f64::from((a - b).powi(2)) / 4.0 + f64::from(map.light.variance[slot]);
                 light += f64::from(expected(slot));
             }
-            assert!(
-                slots.len() > 500 && off.abs() < 4.5 * variance.sqrt() + 0.002 * light,
-                "{part:?}: {off} {variance} {light}"
-            );
-            assert!(variance.sqrt() < 0.01 * light, "{variance} {light}");
+            family.compare_within(format!("{part:?}"), off, variance.sqrt(), 0.002 * light);
+            assert!(slots.len() > 500 && variance.sqrt() < 0.01 * light, "{} {variance} {light}", slots.len());
         }
+        family.assert_agrees();
     }
 
     #[test]

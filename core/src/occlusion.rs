@@ -89,6 +89,7 @@ fn open_share(
 mod tests {
     use super::*;
     use crate::job::Unobserved;
+    use crate::metrics::Family;
     use crate::scene::{Material, Mesh, Object, Scene};
     use crate::world::WorldOptions;
 
@@ -146,7 +147,9 @@ mod tests {
         assert!((0.3..1.4).contains(&ratio), "{ratio}");
         let mean = |f: &dyn Fn(usize) -> f32| inner.iter().map(|&slot| f(slot)).sum::<f32>() / inner.len() as f32;
         let off = mean(&|slot| found.open[slot].x) - mean(&|slot| expected(world.positions()[slot]));
-        assert!(off.abs() < 4.0 * found.stated / (inner.len() as f32).sqrt(), "{off}");
+        let mut family = Family::of_known_errors();
+        family.compare("mean", off.into(), (found.stated / (inner.len() as f32).sqrt()).into());
+        family.assert_agrees();
     }
 
     /// What a polygon hides is Lambert's sum over its edges; nothing beyond the distance.
@@ -174,7 +177,9 @@ mod tests {
         };
         let off: f32 = floor.iter().map(|&slot| found.open[slot].x - expected(world.positions()[slot])).sum();
         assert!((expected(Vec3::ZERO) - 0.2).abs() < 1e-3 && found.stated < 0.01, "{}", found.stated);
-        assert!(off.abs() < 4.0 * found.stated * (floor.len() as f32).sqrt(), "{off} of {}", found.stated);
+        let mut family = Family::of_known_errors();
+        family.compare("sum", off.into(), (found.stated * (floor.len() as f32).sqrt()).into());
+        family.assert_agrees();
         let near = computed(&world, Some(0.4), 64);
         assert!(floor.iter().all(|&slot| near.open[slot] == Vec3::ONE), "the disc is farther away");
     }

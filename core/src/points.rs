@@ -109,6 +109,7 @@ mod tests {
     use super::*;
     use crate::bake::bake;
     use crate::job::{Budget, Unobserved};
+    use crate::metrics::Family;
     use crate::scene::{Light, LightKind, Material, Mesh, Object, Scene};
     use crate::world::WorldOptions;
 
@@ -150,9 +151,12 @@ mod tests {
         let world = World::new(scene, &WorldOptions { spacing: Some(100.0), ..WorldOptions::default() }).unwrap();
         let points: Vec<_> = (0..64).map(|k| (DVec3::new(0.01, f64::from(k), 0.5), Vec3::Y)).collect();
         let found = at(&world, &LightMap::black(world.slots()), &points, LightPart::Direct);
-        let z = |point: &PointLight| (point.light.x - 1.5) / point.error;
-        let mean = found.iter().map(z).sum::<f32>() / 8.0;
-        assert!(mean.abs() < 4.0 && found.iter().all(|point| point.error > 0.0), "{mean}");
+        let off: f32 = found.iter().map(|point| point.light.x - 1.5).sum();
+        let variance: f32 = found.iter().map(|point| point.error.powi(2)).sum();
+        let mut family = Family::of_known_errors();
+        family.compare("sum", off.into(), variance.sqrt().into());
+        family.assert_agrees();
+        assert!(found.iter().all(|point| point.error > 0.0));
     }
 
     /// At the places of elements it is the light map, within both errors.

@@ -86,6 +86,7 @@ pub(crate) fn pooled_with_neighbours(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::metrics::Family;
     use crate::random::Pcg32;
     use crate::scene::{Material, Mesh, Object, Scene};
     use crate::world::WorldOptions;
@@ -120,7 +121,9 @@ mod tests {
         let mean = lit.iter().map(|&slot| f64::from(pooled[slot])).sum::<f64>() / count;
         // Each has the variance 1 of two degrees of freedom; those on the edge count for more than others.
         let deviation = (1.5 / count).sqrt();
-        assert!((mean - 1.0).abs() < 5.0 * deviation, "{mean} +- {deviation}");
+        let mut family = Family::of_known_errors();
+        family.compare("mean", mean - 1.0, deviation);
+        family.assert_agrees();
         assert!((0..draws.len()).filter(|&slot| is_dark(slot)).all(|slot| pooled[slot] == 0.0));
     }
 
@@ -140,6 +143,8 @@ mod tests {
         // A uniform number's square has a relative deviation of √(4/5); three channels of so many elements, of which
         // seven share a neighbourhood.
         let deviation = (0.8 / (3.0 * found.len() as f64 / 7.0)).sqrt();
-        assert!((mean / truth - 1.0).abs() < 5.0 * deviation, "{mean} for {truth}, +- {deviation}");
+        let mut family = Family::of_known_errors();
+        family.compare("variance", mean / truth - 1.0, deviation);
+        family.assert_agrees();
     }
 }

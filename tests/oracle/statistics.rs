@@ -1,7 +1,7 @@
 //! Statistical comparison by replicates: an estimate is run with several seeds, its own scatter gives its error.
 
 use glam::DVec3;
-use rebake_core::{LightMap, World};
+use rebake_core::{LightMap, World, metrics};
 
 /// Mean over replicates and its standard error.
 #[derive(Clone, Copy, Debug)]
@@ -35,69 +35,31 @@ pub(super) fn assert_agrees(name: &str, estimate: Estimate, truth: f64, bias: f6
     assert!(estimate.error <= 0.03 * truth.abs() + 1e-9, "{name}: standard error {:.6} of {truth:.6}", estimate.error);
 }
 
-/// Comparisons that hold together: by chance alone one of all of them fails for less than one in a thousand choices of
-/// seeds. Each is held to a quantile of Student's t-distribution, since errors are those of few replicates, at its share
-/// of that thousandth (Bonferroni).
+/// Comparisons of estimates from a few replicates each that hold together ([`metrics::Family`]), each of which can tell 3 %.
 pub(super) struct Family {
-    replicates: u64,
-    comparisons: Vec<Comparison>,
-}
-
-struct Comparison {
-    name: String,
-    estimate: Estimate,
-    truth: f64,
-    bias: f64,
+    comparisons: metrics::Family,
+    errors: Vec<f64>,
 }
 
 impl Family {
     /// Of estimates from so many replicates each.
     pub(super) fn of(replicates: u64) -> Family {
-        Family { replicates, comparisons: Vec::new() }
+        Family { comparisons: metrics::Family::of_freedom((replicates - 1) as f64), errors: Vec::new() }
     }
 
     /// Notes an estimate, its truth and the bias that it may have.
     pub(super) fn compare(&mut self, name: impl Into<String>, estimate: Estimate, truth: f64, bias: f64) {
-        self.comparisons.push(Comparison { name: name.into(), estimate, truth, bias });
+        let Estimate { mean, error } = estimate;
+        let name = format!("{}: {mean:.6} against {truth}", name.into());
+        self.comparisons.compare_within(name, mean - truth, error, bias);
+        self.errors.push(error);
     }
 
     /// Asserts all of them, and that each could tell 3 %.
     pub(super) fn assert_agrees(self) {
-        let level = 1e-3 / self.comparisons.len() as f64;
-        let critical = t_quantile(level, (self.replicates - 1) as f64);
-        let mut failed = String::new();
-        for Comparison { name, estimate: Estimate { mean, error }, truth, bias } in &self.comparisons {
-            let is_off = (mean - truth).abs() > critical * error + bias;
-            let is_blunt = critical * error > 0.03;
-            if is_off || is_blunt {
-                failed += &format!("\n{name}: {mean:.6} ± {error:.6} against {truth} (bias {bias}, t {critical:.2})");
-            }
-        }
-        assert!(failed.is_empty(), "{failed}");
-    }
-}
-
-/// What the absolute value of Student's t passes with probability `p`.
-fn t_quantile(p: f64, freedom: f64) -> f64 {
-    // With t = √ν tan θ the density is cosine to the power of ν − 1: no tail to cut.
-    let mass = |from: f64| -> f64 {
-        const STEPS: u32 = 20_000;
-        let width = (std::f64::consts::FRAC_PI_2 - from) / f64::from(STEPS);
-        (0..STEPS).map(|k| (from + (f64::from(k) + 0.5) * width).cos().powf(freedom - 1.0) * width).sum()
-    };
-    let (all, mut low, mut high) = (mass(0.0), 0.0, std::f64::consts::FRAC_PI_2);
-    for _ in 0..60 {
-        let middle = (low + high) / 2.0;
-        if mass(middle) / all > p { low = middle } else { high = middle }
-    }
-    freedom.sqrt() * low.tan()
-}
-
-#[test]
-fn quantiles_are_those_of_the_tables() {
-    for (p, freedom, expected) in [(0.05, 1.0, 12.706), (0.01, 5.0, 4.032), (0.001, 7.0, 5.408), (0.001, 3.0, 12.924)] {
-        let found = t_quantile(p, freedom);
-        assert!((found - expected).abs() < 2e-3, "{p} at {freedom}: {found}");
+        self.comparisons.assert_agrees();
+        let worst = self.errors.into_iter().fold(0.0, f64::max);
+        assert!(self.comparisons.critical() * worst <= 0.03, "a standard error is {worst}");
     }
 }
 

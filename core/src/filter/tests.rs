@@ -3,6 +3,7 @@ use std::collections::BTreeMap;
 use super::nearby::{Nearby, REACH};
 use super::*;
 use crate::job::Unobserved;
+use crate::metrics::Family;
 use crate::random::Pcg32;
 use crate::scene::{Material, Mesh, Object, Scene};
 use crate::world::WorldOptions;
@@ -71,8 +72,10 @@ fn noise_falls_to_what_is_stated_and_the_mean_stays() {
     let average = ratios.iter().sum::<f64>() / count;
     let deviation = (ratios.iter().map(|r| (r - average).powi(2)).sum::<f64>() / (count * (count - 1.0))).sqrt();
     // What averaging once more changes holds some of the noise that is left, too: the stated error errs to the safe side.
-    let bounds = (1.0 / 1.5f64.powi(2) - 4.0 * deviation, 1.0 + 4.0 * deviation);
-    assert!(average > bounds.0 && average < bounds.1, "{average} +- {deviation}");
+    let (least, most) = (1.0 / 1.5f64.powi(2), 1.0);
+    let mut family = Family::of_freedom(count - 1.0);
+    family.compare_within("ratio", average - (least + most) / 2.0, deviation, (most - least) / 2.0);
+    family.assert_agrees();
 }
 
 #[test]

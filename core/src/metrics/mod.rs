@@ -1,7 +1,9 @@
-//! How far two pictures or light maps are apart.
+//! How far two pictures or light maps are apart, and estimates from what they should be.
 
+mod family;
 mod flip;
 
+pub use family::{Family, t_quantile};
 pub use flip::{PIXELS_PER_DEGREE, flip};
 
 use glam::Vec3;

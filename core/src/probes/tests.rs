@@ -5,6 +5,7 @@ use crate::bake::bake;
 use crate::harmonics::{COSINE, basis};
 use crate::job::{Budget, Unobserved};
 use crate::lightmap::LightPart;
+use crate::metrics::Family;
 use crate::points::{PointOptions, light_at};
 use crate::scene::{Light, LightKind, Material, Mesh, Object, Scene};
 use crate::world::WorldOptions;
@@ -43,13 +44,15 @@ fn places(count: u32) -> Vec<DVec3> {
 /// Asserts that the mean over many probes of each coefficient (band 0 and 1 at least) is `expected`, by their own
 /// errors.
 fn assert_mean(probes: &[Probe], expected: [f32; COEFFICIENTS]) {
+    let mut family = Family::of_known_errors();
     for (k, expected) in expected.into_iter().enumerate() {
         let sum: f32 = probes.iter().map(|probe| probe.radiance.0[k].x - expected).sum();
         let variance: f32 = probes.iter().map(|probe| probe.error[k].powi(2)).sum();
         // What is left of rounding where all samples are the same.
-        let sigma = variance.sqrt() + 2e-5 * expected.abs() * probes.len() as f32;
-        assert!(sum.abs() < 4.5 * sigma, "coefficient {k}: off by {sum}, of {sigma}, over {}", probes.len());
+        let rounding = 1e-4 * expected.abs() * probes.len() as f32;
+        family.compare_within(format!("coefficient {k}"), sum.into(), variance.sqrt().into(), rounding.into());
     }
+    family.assert_agrees();
 }
 
 /// Radiance that is equal from everywhere is √(4π) of it in the first coefficient, and nothing else.
@@ -96,10 +99,13 @@ fn a_furnace_is_even() {
     // The map's own noise is common to all probes: its mean is within its error of 4.
     let expected = 4.0 * (4.0 * PI).sqrt();
     assert!((mean / expected - 1.0).abs() < 0.004, "{mean} {expected}");
+    let mut family = Family::of_known_errors();
     for k in 1..COEFFICIENTS {
-        let z: f32 = probes.iter().map(|probe| probe.radiance.0[k].x / probe.error[k]).sum::<f32>();
-        assert!(z.abs() < 5.0 * (probes.len() as f32).sqrt(), "coefficient {k}: z {z}");
+        let sum: f32 = probes.iter().map(|probe| probe.radiance.0[k].x).sum();
+        let variance: f32 = probes.iter().map(|probe| probe.error[k].powi(2)).sum();
+        family.compare(format!("coefficient {k}"), sum.into(), variance.sqrt().into());
     }
+    family.assert_agrees();
 }
 
 /// Lamps without extent and the sun are exact: intensity / distance² times the basis in their direction.

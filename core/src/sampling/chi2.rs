@@ -8,6 +8,7 @@ use super::{
     Cone, Discrete, Equirect, Mixture, Spheres, SphericalTriangle, TexelChoice, cosine_hemisphere,
     cosine_hemisphere_pdf, uniform_barycentrics, uniform_sphere, uniform_sphere_pdf,
 };
+use crate::metrics::Family;
 use crate::random::Pcg32;
 
 /// Upper tail of the chi² distribution by the Wilson–Hilferty normal approximation: z-score.
@@ -16,8 +17,8 @@ fn chi2_z(statistic: f64, dof: f64) -> f64 {
     ((statistic / dof).cbrt() - (1.0 - k)) / k.sqrt()
 }
 
-/// Asserts that counts agree with expectations; cells of fewer than 5 expected are pooled.
-fn assert_chi2(name: &str, counts: &[f64], expected: &[f64]) {
+/// Compares counts with expectations; cells of fewer than 5 expected are pooled.
+fn compare_counts(family: &mut Family, name: &str, counts: &[f64], expected: &[f64]) {
     let (mut statistic, mut dof, mut pool_c, mut pool_e) = (0.0, -1.0, 0.0, 0.0);
     for (c, e) in counts.iter().zip(expected) {
         if *e < 5.0 {
@@ -34,8 +35,7 @@ fn assert_chi2(name: &str, counts: &[f64], expected: &[f64]) {
     } else {
         assert!(pool_c <= 12.0, "{name}: {pool_c} samples where {pool_e} are expected");
     }
-    let z = chi2_z(statistic, dof);
-    assert!(z < 4.5, "{name}: chi² {statistic:.1} at {dof} degrees of freedom, z = {z:.1}");
+    family.compare(format!("{name}: chi² {statistic:.1} at {dof} degrees of freedom"), chi2_z(statistic, dof), 1.0);
 }
 
 const ROWS: usize = 48;
@@ -43,7 +43,7 @@ const COLUMNS: usize = 96;
 const SAMPLES: usize = 400_000;
 
 /// Compares a sampler of directions with its density over a grid in (cos θ, φ), the density integrated by 16² points.
-fn check_directions(name: &str, sample: impl Fn([f32; 2]) -> Vec3, pdf: impl Fn(Vec3) -> f32) {
+fn compare_directions(family: &mut Family, name: &str, sample: impl Fn([f32; 2]) -> Vec3, pdf: impl Fn(Vec3) -> f32) {
     let mut rng = Pcg32::new(11, name.len() as u64);
     let mut counts = vec![0.0; ROWS * COLUMNS];
     for _ in 0..SAMPLES {
@@ -92,19 +92,25 @@ fn check_directions(name: &str, sample: impl Fn([f32; 2]) -> Vec3, pdf: impl Fn(
     expected.iter_mut().for_each(|e| *e *= scale);
     // The border cells together: only a coarse check, their integral is known to a few percent.
     let (c, e) = (counts[counts.len() - 1], expected[expected.len() - 1]);
-    assert!((c - e).abs() <= 0.05 * e + 6.0 * e.sqrt() + 12.0, "{name}: border cells hold {c}, expected {e}");
-    assert_chi2(name, &counts[..counts.len() - 1], &expected[..expected.len() - 1]);
+    family.compare_within(format!("{name}: border cells"), c - e, e.sqrt(), 0.05 * e + 12.0);
+    compare_counts(family, name, &counts[..counts.len() - 1], &expected[..expected.len() - 1]);
 }
 
 #[test]
 fn directions_follow_their_densities() {
+    let mut family = Family::of_known_errors();
     for n in [Vec3::Z, -Vec3::Z, Vec3::new(0.6, -0.48, 0.64), Vec3::new(-1.0, 1e-4, 0.0).normalize()] {
-        check_directions("cosine hemisphere", |u| cosine_hemisphere(n, u), |d| cosine_hemisphere_pdf(n, d));
+        compare_directions(
+            &mut family,
+            "cosine hemisphere",
+            |u| cosine_hemisphere(n, u),
+            |d| cosine_hemisphere_pdf(n, d),
+        );
     }
-    check_directions("sphere", uniform_sphere, |_| uniform_sphere_pdf());
+    compare_directions(&mut family, "sphere", uniform_sphere, |_| uniform_sphere_pdf());
     for (center, radius) in [(Vec3::new(0.3, 2.0, 1.0), 1.5), (Vec3::new(0.0, 0.0, -1.0), 0.99)] {
         let cone = Cone::to_sphere(Vec3::ZERO, center, radius).unwrap();
-        check_directions("cone to a sphere", |u| cone.sample(u), |d| cone.pdf(d));
+        compare_directions(&mut family, "cone to a sphere", |u| cone.sample(u), |d| cone.pdf(d));
     }
     for corners in [
         [Vec3::new(-1.0, -1.0, 0.5), Vec3::new(2.0, -1.0, 0.5), Vec3::new(-1.0, 2.0, 0.7)],
@@ -113,7 +119,8 @@ fn directions_follow_their_densities() {
         let triangle = SphericalTriangle::new(Vec3::ZERO, corners).unwrap();
         let inside = |d: Vec3| (0..3).all(|i| corners[i].cross(corners[(i + 1) % 3]).dot(d) >= 0.0);
         let sign = corners[0].cross(corners[1]).dot(corners[2]).signum();
-        check_directions(
+        compare_directions(
+            &mut family,
             "spherical triangle",
             |u| triangle.sample(u),
             |d| {
@@ -121,6 +128,7 @@ fn directions_follow_their_densities() {
             },
         );
     }
+    family.assert_agrees();
 }
 
 #[test]
@@ -132,10 +140,12 @@ fn mixtures_over_spheres_follow_their_density() {
         tile(Vec3::new(-2.0, 0.0, 0.6), 0.3),
     ];
     let near = [tile(Vec3::new(0.0, 0.1, 0.2), 0.5), tile(Vec3::new(2.0, 0.0, 1.0), 0.5)];
+    let mut family = Family::of_known_errors();
     for (name, triangles) in [("mixture, far", &far[..]), ("mixture, inside a sphere", &near[..])] {
         let mixture = Mixture::new(&Spheres::new(triangles), Vec3::ZERO, Vec3::Z).unwrap();
-        check_directions(name, |u| mixture.sample(u), |d| mixture.pdf(d));
+        compare_directions(&mut family, name, |u| mixture.sample(u), |d| mixture.pdf(d));
     }
+    family.assert_agrees();
     let below = Spheres::new(&[tile(Vec3::new(0.0, 0.0, -3.0), 0.5)]);
     assert!(Mixture::new(&below, Vec3::ZERO, Vec3::Z).is_none());
 }
@@ -146,7 +156,9 @@ fn texels_are_chosen_by_their_weight() {
     let grid = Equirect { width: 12, height: 7 };
     let weight = |row: usize, column: usize| ((row * 12 + column) % 5) as f32 + if row == 0 { 9.0 } else { 0.2 };
     let choice = TexelChoice::new(grid, weight).unwrap();
-    check_directions("texels", |u| choice.sample(u), |d| choice.pdf(d));
+    let mut family = Family::of_known_errors();
+    compare_directions(&mut family, "texels", |u| choice.sample(u), |d| choice.pdf(d));
+    family.assert_agrees();
     let one = TexelChoice::new(grid, |row, column| f32::from(u8::from((row, column) == (5, 11)))).unwrap();
     let mut rng = Pcg32::new(3, 3);
     for _ in 0..1000 {
@@ -185,7 +197,9 @@ fn barycentrics_are_uniform() {
         let cell = [0, 1, 4, 9][row.min(3)] + 2 * (y as usize) + upper;
         counts[cell.min(15)] += 1.0;
     }
-    assert_chi2("uniform barycentrics", &counts, &[n as f64 / 16.0; 16]);
+    let mut family = Family::of_known_errors();
+    compare_counts(&mut family, "uniform barycentrics", &counts, &[n as f64 / 16.0; 16]);
+    family.assert_agrees();
 }
 
 #[test]
@@ -201,6 +215,8 @@ fn discrete_follows_its_weights_and_never_picks_zero() {
     }
     assert_eq!((counts[0], counts[2], counts[5]), (0.0, 0.0, 0.0));
     let expected: Vec<f64> = weights.iter().map(|w| w / 4.5 * f64::from(n)).collect();
-    assert_chi2("discrete", &counts, &expected);
+    let mut family = Family::of_known_errors();
+    compare_counts(&mut family, "discrete", &counts, &expected);
+    family.assert_agrees();
     assert!(Discrete::new([0.0, 0.0].into_iter()).is_none());
 }

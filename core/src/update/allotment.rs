@@ -219,6 +219,7 @@ mod tests {
 
     use super::*;
     use crate::job::Unobserved;
+    use crate::metrics::Family;
     use crate::random::Pcg32;
     use crate::scene::{Material, Mesh, Object, Scene};
     use crate::solve::{Exchange, Paths};
@@ -290,6 +291,7 @@ mod tests {
         let with = gathered(&world, &subset, &change, &rows, Paths::OfRows(&paths));
         let without = gathered(&world, &subset, &change, &all, Paths::Each(EACH));
         let (mut squares, mut rows_seen) = (0.0, 0.0);
+        let mut family = Family::of_freedom((RUNS - 1) as f64);
         for (row, a) in with.iter().enumerate() {
             // A row that is shared has the mean of its members.
             let members = rows.members_of(row);
@@ -301,9 +303,10 @@ mod tests {
                 continue;
             }
             let z = (a.0 - b.0) / ((a.1 + b.1) / RUNS as f64).sqrt();
-            assert!(z.abs() < 7.0, "row {row}: {a:?} and {b:?}");
+            family.compare(format!("row {row}"), z, 1.0);
             (squares, rows_seen) = (squares + z * z, rows_seen + 1.0);
         }
+        family.assert_agrees();
         assert!(rows_seen > 300.0 && squares / rows_seen < 1.4, "{squares} over {rows_seen}");
         let areas = subset.areas(&world);
         let noise = |rows: &Rows, found: &[(f64, f64)]| -> f64 {
@@ -331,8 +334,8 @@ mod tests {
         let areas = subset.areas(&world);
         // Squared error, by area, over the exact solution squared; the mean over its mean, and that one's standard
         // error.
+        const RUNS: u64 = 16;
         let judged = |rows: Rows| {
-            const RUNS: u64 = 16;
             let rows = Arc::new(rows);
             let exact: Vec<f64> = exact.iter().map(|light| f64::from(light.x)).collect();
             let mean =
@@ -350,7 +353,9 @@ mod tests {
         };
         let (with, without) = (judged(rows), judged(alone));
         assert!(with.0 < 0.5 * without.0, "{with:?} and {without:?}");
-        assert!((with.1 - 1.0).abs() < 4.0 * with.2 + 0.01, "{with:?} and {without:?}");
+        let mut family = Family::of_freedom((RUNS - 1) as f64);
+        family.compare_within("mean", with.1 - 1.0, with.2, 0.01);
+        family.assert_agrees();
     }
 
     /// Where nothing changes neighbours share a path, and nobody is left out.

@@ -225,6 +225,7 @@ mod tests {
     use super::*;
     use crate::edit::Edit;
     use crate::job::Unobserved;
+    use crate::metrics::Family;
     use crate::scene::{Material, Mesh, Object, Scene};
     use crate::world::WorldOptions;
 
@@ -273,16 +274,19 @@ mod tests {
         };
         let (with, without) = (gathered(spots.as_ref(), 8, 1), gathered(None, 12, 2));
         let (mut squares, mut count, mut noise) = (0.0, 0.0, [0.0; 2]);
+        let mut family = Family::of_freedom((RUNS - 1) as f64);
         for ((slot, a), b) in slots.iter().zip(&with).zip(&without) {
             if a.1 + b.1 == 0.0 {
                 assert!((a.0 - b.0).abs() < 1e-6, "slot {slot}: {a:?} and {b:?}");
                 continue;
             }
             let z = (a.0 - b.0) / (a.1 + b.1).sqrt();
-            assert!(z.abs() < 5.5, "slot {slot}: {a:?} and {b:?}");
+            family.compare(format!("slot {slot}"), z, 1.0);
             (squares, count, noise) = (squares + z * z, count + 1.0, [noise[0] + a.1, noise[1] + b.1]);
         }
-        assert!(count > 60.0 && (squares / count - 1.0).abs() < 6.0 * f64::sqrt(2.0 / count), "{squares} over {count}");
+        family.compare("all slots", squares / count - 1.0, f64::sqrt(2.0 / count));
+        family.assert_agrees();
+        assert!(count > 60.0, "{count}");
         // As many rays.
         assert!(noise[0] < 0.6 * noise[1], "{noise:?}");
     }
