@@ -18,6 +18,7 @@ mod lights;
 mod motion;
 mod objects;
 mod openings;
+mod options;
 mod paint;
 mod probe;
 mod restore;
@@ -30,6 +31,7 @@ mod trees;
 mod validity;
 
 pub use info::{LightInfo, ObjectInfo};
+pub use options::{Stated, WorldError, WorldOptions};
 pub use transition::Transition;
 pub use trees::Trees;
 
@@ -50,100 +52,9 @@ use rayon::prelude::*;
 
 use crate::atlas::{Atlas, AtlasError, AtlasOptions, Item};
 use crate::chunks::Chunks;
-use crate::scene::{DEFAULT_MAX_ALBEDO, Scene};
+use crate::scene::Scene;
 use crate::space::{Density, Layout, Placement, Space};
-use crate::surface::{Facets, SeeThrough, Surface, SurfaceError};
-
-/// Limits and resolution of a world.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct WorldOptions {
-    /// Largest distance between neighbouring elements, metres; chosen from the scene's size where absent.
-    pub spacing: Option<f32>,
-    /// Most squares of its spacing that one object has ([`Density`]). Where absent it is chosen with the spacing, and there
-    /// is no such bound on one that is given.
-    pub object_squares: Option<f64>,
-    /// More element slots than this are refused.
-    pub max_elements: usize,
-    /// More triangles between elements than this are refused.
-    pub max_triangles: usize,
-    /// What light maps state the error of.
-    pub stated: Stated,
-    /// Largest albedo that light meets, from 0 to 1: where a surface has more, of the file, an inserted asset or a
-    /// repaint, this counts. In a closed room of albedo 1 light has no end.
-    pub max_albedo: f32,
-    /// Its objects have places in an atlas, which edits keep ([`World::atlas`]).
-    pub atlas: Option<AtlasOptions>,
-}
-
-/// Light whose error is stated, and by which samples are spent.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Stated {
-    /// Direct and indirect light.
-    #[default]
-    Full,
-    /// Indirect light alone: whoever uses such a map computes direct light otherwise.
-    Indirect,
-}
-
-impl Stated {
-    /// The part of some light that counts.
-    #[inline]
-    pub(crate) fn of<V: std::ops::Add<Output = V>>(self, direct: V, indirect: V) -> V {
-        match self {
-            Stated::Full => direct + indirect,
-            Stated::Indirect => indirect,
-        }
-    }
-}
-
-impl Default for WorldOptions {
-    fn default() -> Self {
-        WorldOptions {
-            spacing: None,
-            object_squares: None,
-            max_elements: 20_000_000,
-            max_triangles: 40_000_000,
-            stated: Stated::Full,
-            max_albedo: DEFAULT_MAX_ALBEDO,
-            atlas: None,
-        }
-    }
-}
-
-/// Why a scene cannot be made ready.
-#[derive(Clone, Debug, thiserror::Error)]
-pub enum WorldError {
-    /// `spacing` is none that elements may have.
-    #[error("spacing: {0}")]
-    Spacing(String),
-    /// The squares that an object may have are none.
-    #[error("object_squares: must be a number above 0, not {0}")]
-    ObjectSquares(f64),
-    /// `max_albedo` is no number from 0 to 1.
-    #[error("max_albedo: must be a number from 0 to 1, not {0}")]
-    MaxAlbedo(f32),
-    /// There is no atlas for it.
-    #[error(transparent)]
-    Atlas(#[from] AtlasError),
-    /// An object cannot be subdivided.
-    #[error("object {object:?}: {source}")]
-    Surface {
-        /// Name of the object.
-        object: String,
-        /// What stands in the way.
-        source: SurfaceError,
-    },
-    /// Too many elements or triangles at this spacing.
-    #[error("the scene has more than {limit} {what} at a spacing of {spacing} m")]
-    TooLarge {
-        /// `elements` or `triangles`.
-        what: &'static str,
-        /// The limit that was passed.
-        limit: usize,
-        /// Spacing in force.
-        spacing: f32,
-    },
-}
+use crate::surface::{Facets, SeeThrough, Surface};
 
 /// One object, subdivided and placed.
 #[derive(Debug)]
@@ -175,6 +86,13 @@ impl Placed {
         let side = move |k: u32| first + k * count..first + (k + 1) * count;
         (0..if self.with_back { 2 } else { 1 }).map(side)
     }
+
+    /// Bytes of its surface and of what is laid out on it, albedos by place aside.
+    fn memory_bytes(&self) -> usize {
+        let see_through = self.see_through.as_ref().map_or(0, |see_through| see_through.memory_bytes());
+        let facets: usize = self.facets.iter().flatten().map(|facets| facets.memory_bytes()).sum();
+        self.surface.memory_bytes() + self.layout.memory_bytes() + self.coarse.memory_bytes() + see_through + facets
+    }
 }
 
 /// How far what is computed lies apart, metres.
@@ -186,22 +104,31 @@ pub(crate) struct Resolution {
     pub smooth: f32,
 }
 
-/// Immutable snapshot of a scene with its elements and trees. Cheap to clone.
+/// Immutable snapshot of a scene with its elements and trees: a list of parts, which an edit replaces where they change.
+/// Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct World {
     /// What was loaded and edited.
     pub scene: Arc<Scene>,
+    /// Limits for edits, and what maps state the error of.
     pub(crate) options: WorldOptions,
+    /// How far elements lie apart.
     pub(crate) resolution: Resolution,
-    /// In the order of `scene.objects`.
+    /// Each object's surface and elements, in the order of `scene.objects`.
     pub(crate) placed: Vec<Arc<Placed>>,
+    /// Elements, and the way from triangles to them.
     pub(crate) space: Space,
+    /// What rays meet.
     pub(crate) trees: Trees,
+    /// Where light comes from.
     pub(crate) emitters: Arc<Emitters>,
+    /// Which elements have values of their own.
     pub(crate) validity: Arc<Validity>,
-    /// By key of the object.
+    /// Which representatives elements do not see, by key of the object.
     pub(crate) sight: BTreeMap<u32, Arc<Hidden>>,
+    /// Places of objects on pages of texels, where there are any.
     pub(crate) atlas: Option<Arc<Atlas>>,
+    /// The key of the next object; keys are never used again.
     pub(crate) next_key: u32,
 }
 
@@ -318,18 +245,12 @@ impl World {
 
     /// Bytes held by elements, triangles, trees and textures; what is shared with other versions counts here too.
     pub fn memory_bytes(&self) -> usize {
-        let of_object = |p: &Arc<Placed>| {
-            let see_through = p.see_through.as_ref().map_or(0, |see_through| see_through.memory_bytes());
-            let facets: usize = p.facets.iter().flatten().map(|facets| facets.memory_bytes()).sum();
-            p.surface.memory_bytes() + p.layout.memory_bytes() + p.coarse.memory_bytes() + see_through + facets
-        };
-        let objects: usize = self.placed.iter().map(of_object).sum();
-        let sight: usize = self.sight.values().map(|hidden| hidden.memory_bytes()).sum();
-        let albedos = |p: &Arc<Placed>| -> usize {
+        let albedos = |p: &Placed| -> usize {
             let parts = self.space.parts_of(&p.placement);
             parts.first().and_then(|part| part.albedos.as_ref()).map_or(0, |albedos| size_of_val(&**albedos))
         };
-        let objects = objects + self.placed.iter().map(albedos).sum::<usize>();
+        let objects: usize = self.placed.iter().map(|p| p.memory_bytes() + albedos(p)).sum();
+        let sight: usize = self.sight.values().map(|hidden| hidden.memory_bytes()).sum();
         let space = self.space.memory_bytes() + self.validity.memory_bytes() + sight;
         let atlas = self.atlas.as_ref().map_or(0, |atlas| atlas.memory_bytes());
         space + self.trees.memory_bytes() + objects + self.scene.texture_bytes() + atlas
@@ -340,7 +261,7 @@ impl World {
         let live = self.placed.par_iter().flat_map(|p| p.placement.elements.clone().into_par_iter().with_min_len(4096));
         let is_computed = |&i: &u32| self.areas()[i as usize] > 0.0 && self.validity.is_valid(i as usize);
         let mut slots: Vec<u32> = live.filter(is_computed).collect();
-        // Objects that came late may lie in the slots of those that went.
+        // Objects that were inserted late may lie in the slots of those that were removed.
         slots.sort_unstable();
         slots
     }

@@ -55,16 +55,8 @@ impl World {
             && parts().all(|(a, b)| a.reflects_like(b))
             && a.see_through == b.see_through
             && a.facets == b.facets
-            && self.has_surface_of(a, b)
+            && are_same_surfaces(&a.surface, &b.surface)
             && self.has_elements_of(a, other, b)
-    }
-
-    fn has_surface_of(&self, a: &Placed, b: &Placed) -> bool {
-        Arc::ptr_eq(&a.surface, &b.surface)
-            || are_close(a.surface.positions.iter(), b.surface.positions.iter(), tolerance(&a.surface))
-                && are_close(a.surface.normals.iter(), b.surface.normals.iter(), SAME_NORMAL)
-                && a.surface.triangles == b.surface.triangles
-                && a.surface.triangle_materials == b.surface.triangle_materials
     }
 
     /// Surfaces that are the same may be laid out in another order, after another way to where they are.
@@ -86,6 +78,14 @@ const SAME_NORMAL: f32 = 1e-5;
 fn tolerance(surface: &Surface) -> f32 {
     let (low, high) = surface.bounds();
     ray_offset(low.abs().max(high.abs()), surface.largest_extent())
+}
+
+fn are_same_surfaces(a: &Arc<Surface>, b: &Arc<Surface>) -> bool {
+    Arc::ptr_eq(a, b)
+        || are_close(a.positions.iter(), b.positions.iter(), tolerance(a))
+            && are_close(a.normals.iter(), b.normals.iter(), SAME_NORMAL)
+            && a.triangles == b.triangles
+            && a.triangle_materials == b.triangle_materials
 }
 
 /// Moving there and back rounds twice; rays start off a surface by as much as that.
