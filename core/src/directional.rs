@@ -5,10 +5,10 @@ use std::f32::consts::{FRAC_1_PI, TAU};
 
 use glam::Vec3;
 
+use crate::batches::{BATCHES, mean_of, shares};
 use crate::harmonics::{COSINE, basis};
 use crate::job::{Canceled, Observer};
 use crate::lightmap::{LightMap, LightPart};
-use crate::parts::{PARTS, mean_of, shares};
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::uniform_sphere;
 use crate::transport::{DirectLight, Field, Rough, Work};
@@ -78,8 +78,8 @@ pub fn directional(
             0 => [Vec3::ZERO; 4],
             count => estimate(world, (&field, &lights[k]), from, options.part, count, &mut rng, rays),
         };
-        let parts: [[Vec3; 4]; PARTS] = std::array::from_fn(part);
-        std::array::from_fn(|k| mean_of(&std::array::from_fn::<_, PARTS, _>(|part| (shares[part], parts[part][k]))))
+        let parts: [[Vec3; 4]; BATCHES] = std::array::from_fn(part);
+        std::array::from_fn(|k| mean_of(&std::array::from_fn::<_, BATCHES, _>(|part| (shares[part], parts[part][k]))))
     };
     let found: Vec<[(Vec3, f32); 4]> = Work::new(observer).map(&slots, one)?;
     let of = |k: usize| {

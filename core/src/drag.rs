@@ -94,7 +94,7 @@ impl DragBasis {
         let mut direct = vec![Vec3::ZERO; world.slots()];
         self.slots.iter().zip(found).for_each(|(&slot, light)| direct[slot as usize] = light);
         world.validity.fill(&mut direct);
-        let bounces = self.exchange.settle(&direct);
+        let bounces = self.exchange.further_bounces(&direct);
         let mut indirect = Vec::new();
         self.subset.interpolate(&self.exchange.to_representatives(&self.subset, &bounces), &mut indirect);
         world.validity.fill(&mut indirect);

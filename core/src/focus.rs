@@ -4,7 +4,7 @@ use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
 use crate::bvh::Ray;
-use crate::tiles::{Place, nearest};
+use crate::tiles::{ChangedSphere, nearest};
 use crate::world::World;
 
 /// A view of a scene. World space, metres; angles in radians.
@@ -49,7 +49,7 @@ impl Focus {
     /// Per element slot how soon its turn comes, the less the sooner; infinite where nobody looks. From a camera it is
     /// the Chebyshev distance in the picture, in half heights, from the nearest of the places where something changed;
     /// from the picture's middle where there are none. In a sphere it is the distance from its middle in metres.
-    pub(crate) fn keys(&self, world: &World, places: &[Place]) -> Vec<f32> {
+    pub(crate) fn keys(&self, world: &World, places: &[ChangedSphere]) -> Vec<f32> {
         let key: Box<dyn Fn(usize) -> f32 + Sync> = match self.view(world.scene.origin) {
             View::Sphere { middle, .. } => Box::new(move |i| world.positions()[i].distance(middle)),
             View::Camera { eye, frame } => {

@@ -2,9 +2,9 @@
 
 use glam::Vec3;
 
+use crate::batches::{mean_of, shares};
 use crate::bvh::Ray;
 use crate::job::{Canceled, Observer};
-use crate::parts::{mean_of, shares};
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
 use crate::transport::Work;

@@ -4,9 +4,9 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::batches::{BATCHES, mean_of, shares};
 use crate::job::{Canceled, Observer};
 use crate::lightmap::{LightMap, LightPart};
-use crate::parts::{PARTS, mean_of, shares};
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::cosine_hemisphere;
 use crate::space::ray_offset;
@@ -72,7 +72,7 @@ pub fn light_at(
                 (count, estimate(world, &field, from, options.part, count, &mut rng))
             }
         };
-        let (mean, error) = mean_of(&std::array::from_fn::<_, PARTS, _>(part));
+        let (mean, error) = mean_of(&std::array::from_fn::<_, BATCHES, _>(part));
         Ok(PointLight { light: mean.max(Vec3::ZERO), error })
     };
     points.par_iter().enumerate().map(one).collect()

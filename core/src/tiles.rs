@@ -69,17 +69,17 @@ fn halve(cells: &mut [Cell], size: usize, tiles: &mut Vec<Vec<u32>>) {
     halve(b, size, tiles);
 }
 
-/// A place where something changed.
+/// A sphere around what an edit has changed in one place.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Place {
+pub(crate) struct ChangedSphere {
     pub middle: Vec3,
-    /// Of a sphere around what changed, metres.
+    /// Metres.
     pub radius: f32,
-    /// Largest change of radiance that comes from there × radius², up to a factor that all places share.
+    /// Largest change of radiance that comes from there × radius², up to a factor that all spheres share.
     pub power: f32,
 }
 
-impl Place {
+impl ChangedSphere {
     /// Bound on the change of light at a point, up to that factor: form factor to the sphere × largest change. Zero
     /// where the sphere is below the horizon.
     pub(crate) fn bound(&self, point: Vec3, normal: Vec3) -> f32 {
@@ -153,7 +153,7 @@ mod tests {
 
     #[test]
     fn the_bound_falls_with_distance_and_ends_at_the_horizon() {
-        let place = Place { middle: Vec3::new(0.0, 1.0, 0.0), radius: 0.5, power: 0.25 };
+        let place = ChangedSphere { middle: Vec3::new(0.0, 1.0, 0.0), radius: 0.5, power: 0.25 };
         let at = |x: f32, y: f32| place.bound(Vec3::new(x, y, 0.0), Vec3::Y);
         assert_eq!(at(0.0, 0.0), 0.25);
         assert_eq!(at(0.0, 0.8), 1.0, "inside the sphere the form factor is 1");

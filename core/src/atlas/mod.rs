@@ -1,7 +1,7 @@
 //! Where on pages of texels the surfaces of a scene lie: a rectangle per object, and places in it for its triangles.
 //!
 //! A rectangle stays where it is as long as its object is there and has its size, whatever else is edited; those of
-//! objects that come are allocated, those of objects that go are freed, pages are added, and nothing is packed anew.
+//! inserted objects are allocated, those of removed objects are freed, pages are added, and nothing is packed anew.
 //! Equal scenes that come in equal order give equal atlases. What lies on the texels is not known here.
 
 mod charts;

@@ -23,7 +23,7 @@ pub enum Thing<'a> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Property<'a> {
     /// Where an object or a light stands, and how it is turned.
-    Place,
+    Transform,
     /// The albedo of all materials of an object, or of a material.
     Albedo,
     /// The albedo of one material of an object, by its name.
@@ -84,7 +84,7 @@ pub enum Cost<'a> {
     Layers,
     /// Weights of layers: rays only where a light has no layer of its own yet.
     Weights,
-    /// Light of lights that come, go or move, everywhere; surfaces and their transport stay.
+    /// Light of lights that are inserted, removed or moved, everywhere; surfaces and their transport are unchanged.
     Lights,
     /// Light between the surfaces that change and all others.
     Surfaces,
@@ -111,7 +111,7 @@ impl Edit {
                 let goes = objects.iter().map(|pattern| Effect::Goes(Thing::Object(pattern)));
                 goes.chain([Effect::LightsComeOrGo]).collect()
             }
-            Edit::Move { object, .. } => vec![Effect::Sets(Thing::Object(object), Property::Place)],
+            Edit::Move { object, .. } => vec![Effect::Sets(Thing::Object(object), Property::Transform)],
             Edit::Material { object, .. } => vec![Effect::Sets(Thing::Object(object), Property::Albedo)],
             Edit::NamedMaterial { object: None, material, .. } => {
                 vec![Effect::Sets(Thing::Material(material), Property::Albedo)]
@@ -131,10 +131,10 @@ impl Edit {
             // It may have been there.
             Edit::Sky { .. } => {
                 let sky = Thing::Light(ENVIRONMENT);
-                vec![Effect::Comes(sky), Effect::Sets(sky, Property::Place), Effect::Sets(sky, Property::Strength)]
+                vec![Effect::Comes(sky), Effect::Sets(sky, Property::Transform), Effect::Sets(sky, Property::Strength)]
             }
             Edit::RemoveLight { light } => vec![Effect::Goes(Thing::Light(light))],
-            Edit::MoveLight { light, .. } => vec![Effect::Sets(Thing::Light(light), Property::Place)],
+            Edit::MoveLight { light, .. } => vec![Effect::Sets(Thing::Light(light), Property::Transform)],
             Edit::GroupLights { lights, .. } => {
                 lights.iter().map(|light| Effect::Sets(Thing::Light(light), Property::Group)).collect()
             }

@@ -93,10 +93,10 @@ impl Restored {
         match self {
             Restored::Gone(_) => vec![Effect::Goes(thing)],
             Restored::Back(..) => vec![Effect::Comes(thing)],
-            Restored::Moved(_) => vec![Effect::Sets(thing, Property::Place)],
+            Restored::Moved(_) => vec![Effect::Sets(thing, Property::Transform)],
             Restored::Painted(_) => vec![Effect::Sets(thing, Property::Albedo)],
             Restored::Replaced(_) => {
-                [Property::Place, Property::Albedo, Property::Visibility].map(|p| Effect::Sets(thing, p)).into()
+                [Property::Transform, Property::Albedo, Property::Visibility].map(|p| Effect::Sets(thing, p)).into()
             }
         }
     }

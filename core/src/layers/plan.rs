@@ -115,18 +115,18 @@ impl Plan {
     pub(crate) fn new(before: &Scene, after: &Scene, map: &LightMap) -> Plan {
         let mut plan = Plan::default();
         let old = headers_of(map, before);
-        let mut places = Places::new(&old);
+        let mut quota = Quota::new(&old);
         for (index, header) in old.iter().enumerate() {
-            plan.divide(index, header, before, after, &mut places);
+            plan.divide(index, header, before, after, &mut quota);
         }
         plan.assemble(before, after);
         plan
     }
 
     /// Puts the lights of an old layer where they belong.
-    fn divide(&mut self, index: usize, header: &Header, before: &Scene, after: &Scene, places: &mut Places) {
+    fn divide(&mut self, index: usize, header: &Header, before: &Scene, after: &Scene, quota: &mut Quota) {
         let mut targets: BTreeMap<Target, Vec<LayerLight>> = BTreeMap::new();
-        for (light, target) in header.lights.iter().zip(targets_of(header, before, after, places)) {
+        for (light, target) in header.lights.iter().zip(targets_of(header, before, after, quota)) {
             targets.entry(target).or_default().push(light.clone());
         }
         let whole = targets.len() == 1;
@@ -222,7 +222,7 @@ impl Plan {
         }
     }
 
-    /// A light that came with the edit: in its group's layer, in one of its own, or where there is no place in the
+    /// A light that the edit inserted: in its group's layer, in one of its own, or where there is no place in the
     /// first. Answers the layer that it joined, which has to be held at present strength then.
     fn add_new(&mut self, after: &Scene, name: &str, strength: Vec3) -> Option<usize> {
         let group = after.groups.get(name);
@@ -279,15 +279,15 @@ impl Planned {
 }
 
 /// How many layers there may be more, and which there are.
-struct Places {
+struct Quota {
     left: usize,
     known: BTreeSet<String>,
 }
 
-impl Places {
-    fn new(old: &[Header]) -> Places {
+impl Quota {
+    fn new(old: &[Header]) -> Quota {
         let known = old.iter().map(|header| header.name.clone()).collect();
-        Places { left: MAX_LAYERS.saturating_sub(old.len()), known }
+        Quota { left: MAX_LAYERS.saturating_sub(old.len()), known }
     }
 
     fn take(&mut self, name: &str) -> bool {
@@ -304,14 +304,14 @@ impl Places {
 }
 
 /// Where the lights of a layer go, in their order.
-fn targets_of(header: &Header, before: &Scene, after: &Scene, places: &mut Places) -> Vec<Target> {
+fn targets_of(header: &Header, before: &Scene, after: &Scene, quota: &mut Quota) -> Vec<Target> {
     let group =
         |light: &LayerLight| after.groups.get(&light.name).filter(|_| strength_of(after, &light.name).is_some());
     let stay: Vec<&LayerLight> = header.lights.iter().filter(|light| group(light).is_none()).collect();
     let kept = lights_that_keep(&stay, before, after);
     let target = |light: &LayerLight| match group(light) {
-        Some(group) if places.take(group) => Target::Group(group.clone()),
-        None if !kept.contains(&light.name) && places.take(&light.name) => Target::Alone(light.name.clone()),
+        Some(group) if quota.take(group) => Target::Group(group.clone()),
+        None if !kept.contains(&light.name) && quota.take(&light.name) => Target::Alone(light.name.clone()),
         _ => Target::Stays,
     };
     header.lights.iter().map(target).collect()

@@ -7,10 +7,10 @@ mod tests;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::batches::{BATCHES, mean_of, shares};
 use crate::harmonics::{COEFFICIENTS, Harmonics};
 use crate::job::{Canceled, Observer};
 use crate::lightmap::LightMap;
-use crate::parts::{PARTS, mean_of, shares};
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::{uniform_sphere, uniform_sphere_pdf};
 use crate::transport::{DirectLight, Field, Rough};
@@ -133,7 +133,7 @@ fn direct(world: &World, lights: &DirectLight, point: Vec3, rng: &mut Pcg32, ray
 }
 
 /// Mean of independent parts, and what their scatter tells.
-fn probe_of(parts: &[(u32, Estimate); PARTS]) -> Probe {
+fn probe_of(parts: &[(u32, Estimate); BATCHES]) -> Probe {
     let of = |k: usize| mean_of(&parts.map(|(count, estimate)| (count, estimate.radiance.0[k])));
     let found: [(Vec3, f32); COEFFICIENTS] = std::array::from_fn(of);
     let (validity, _) = mean_of(&parts.map(|(count, estimate)| (count, Vec3::splat(estimate.validity))));

@@ -148,7 +148,7 @@ impl<V: Value> Exchange<V> {
     /// What is missing where a better gather of the same light differs from the solution by `residual`, per element
     /// slot: `Σ_{j ≥ 1} Tʲ r`. Its first bounce is gathered at full resolution: the solution, interpolated from its
     /// representatives, is off where there are none, in corners above all.
-    pub(crate) fn settle(&self, residual: &[V]) -> Vec<V> {
+    pub(crate) fn further_bounces(&self, residual: &[V]) -> Vec<V> {
         let first = self.mean_of_rows(|e| e.element, residual);
         self.all_bounces(&first)
     }

@@ -119,9 +119,9 @@ fn are_near(world: &World, a: usize, b: usize) -> bool {
         && world.normals()[a].dot(world.normals()[b]) > SHARED_COSINE
 }
 
-/// A place that has changed.
+/// An element whose light has changed, or that stands for several of them.
 #[derive(Clone, Copy)]
-struct Place {
+struct ChangedPoint {
     position: Vec3,
     /// m².
     area: f32,
@@ -130,17 +130,17 @@ struct Place {
 }
 
 /// The places that have changed most, and the others; where there are many, some stand for all.
-fn places(world: &World, amounts: &[f32]) -> Vec<Place> {
+fn places(world: &World, amounts: &[f32]) -> Vec<ChangedPoint> {
     let (positions, areas) = (world.positions(), world.areas());
     let square = |slot: usize| f64::from(amounts[slot] * amounts[slot]);
     let limit = world.area_mean(0..amounts.len(), square);
     let (most, others): (Vec<usize>, Vec<usize>) =
         (0..amounts.len()).into_par_iter().filter(|&slot| areas[slot] > 0.0).partition(|&slot| square(slot) > limit);
-    let thinned = |slots: &[usize]| -> Vec<Place> {
+    let thinned = |slots: &[usize]| -> Vec<ChangedPoint> {
         let step = slots.len().div_ceil(PLACES).max(1);
         let place = |&slot: &usize| {
             let area = areas[slot] * step as f32;
-            Place { position: positions[slot], area, light: amounts[slot] }
+            ChangedPoint { position: positions[slot], area, light: amounts[slot] }
         };
         slots.iter().step_by(step).map(place).collect()
     };
@@ -158,8 +158,8 @@ struct Cluster {
 }
 
 impl Cluster {
-    fn of(places: &[Place]) -> Cluster {
-        let power = |p: &Place| p.light * p.light * p.area;
+    fn of(places: &[ChangedPoint]) -> Cluster {
+        let power = |p: &ChangedPoint| p.light * p.light * p.area;
         let squares: f32 = places.iter().map(power).sum();
         let middle = match squares > 0.0 {
             true => places.iter().map(|p| p.position * power(p)).sum::<Vec3>() / squares,
@@ -183,9 +183,9 @@ impl Cluster {
 }
 
 /// Halves what is most spread out, as often as there are clusters.
-fn clusters(places: Vec<Place>) -> Vec<Cluster> {
-    let mut parts: Vec<(Vec<Place>, Cluster)> = Vec::with_capacity(CLUSTERS);
-    let with_cluster = |places: Vec<Place>| {
+fn clusters(places: Vec<ChangedPoint>) -> Vec<Cluster> {
+    let mut parts: Vec<(Vec<ChangedPoint>, Cluster)> = Vec::with_capacity(CLUSTERS);
+    let with_cluster = |places: Vec<ChangedPoint>| {
         let cluster = Cluster::of(&places);
         (places, cluster)
     };
@@ -202,7 +202,7 @@ fn clusters(places: Vec<Place>) -> Vec<Cluster> {
             .fold((cluster.middle, cluster.middle), |(l, h), p| (l.min(p.position), h.max(p.position)));
         let size = high - low;
         let axis = (0..3).fold(0, |best, axis| if size[axis] > size[best] { axis } else { best });
-        let (below, above): (Vec<Place>, Vec<Place>) =
+        let (below, above): (Vec<ChangedPoint>, Vec<ChangedPoint>) =
             places.into_iter().partition(|p| p.position[axis] < cluster.middle[axis]);
         if below.is_empty() || above.is_empty() {
             parts.push(with_cluster([below, above].concat()));

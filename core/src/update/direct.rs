@@ -61,7 +61,7 @@ impl<'a> DirectChange<'a> {
         DirectChange { transition, pairs, sphere: Spheres::new(&triangles).bounding() }
     }
 
-    /// Adds ΔD of all rows of `extent` to `out`.
+    /// Adds ΔD of all slots of `extent` to `out`.
     pub(super) fn estimate<V: Value>(
         &self,
         extent: &Extent,
@@ -78,7 +78,7 @@ impl<'a> DirectChange<'a> {
         if extent.is_fine() {
             return work.add(&extent.fine, out, change);
         }
-        let found = |rows: &[u32]| work.map(rows, |_, slot, rays| change(slot, rays));
+        let found = |slots: &[u32]| work.map(slots, |_, slot, rays| change(slot, rays));
         extent.add(subset, &found(&extent.fine)?, &found(&extent.representatives)?, out);
         Ok(())
     }

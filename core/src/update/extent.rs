@@ -8,7 +8,7 @@ use crate::value::Value;
 
 const NONE: u32 = u32::MAX;
 
-/// A division of some rows.
+/// A division of some slots.
 pub(super) struct Extent {
     /// Slots that are estimated themselves, ascending.
     pub fine: Vec<u32>,
@@ -21,19 +21,19 @@ pub(super) struct Extent {
 }
 
 impl Extent {
-    /// Divides `rows` (slots, ascending) of a world of `slots` slots.
-    pub(super) fn new(rows: &[u32], subset: &Subset, slots: usize, is_fine: impl Fn(u32) -> bool) -> Extent {
-        let (fine, spread): (Vec<u32>, Vec<u32>) = rows.iter().partition(|&&slot| is_fine(slot));
+    /// Divides `of` (slots, ascending), of a world of `slots` slots.
+    pub(super) fn new(of: &[u32], subset: &Subset, slots: usize, is_fine: impl Fn(u32) -> bool) -> Extent {
+        let (fine, spread): (Vec<u32>, Vec<u32>) = of.iter().partition(|&&slot| is_fine(slot));
         let is_spread = flags(&spread, slots);
         let is_representative = |slot: u32| is_spread.get(slot as usize).copied().unwrap_or(false);
         let representatives = subset.slots.iter().copied().filter(|&slot| is_representative(slot)).collect();
         Extent::of(fine, representatives, is_spread, subset)
     }
 
-    /// Rows that are looked at, and nothing else: representatives of others among those that theirs are interpolated
+    /// Slots that are looked at, and nothing else: representatives of others among those that theirs are interpolated
     /// from.
-    pub(super) fn only(rows: &[u32], subset: &Subset, slots: usize, is_fine: impl Fn(u32) -> bool) -> Extent {
-        let (fine, spread): (Vec<u32>, Vec<u32>) = rows.iter().partition(|&&slot| is_fine(slot));
+    pub(super) fn only(of: &[u32], subset: &Subset, slots: usize, is_fine: impl Fn(u32) -> bool) -> Extent {
+        let (fine, spread): (Vec<u32>, Vec<u32>) = of.iter().partition(|&&slot| is_fine(slot));
         let needed = subset.needed_by(&spread, slots);
         let representatives = subset.slots.iter().copied().filter(|&slot| needed[slot as usize]).collect();
         Extent::of(fine, representatives, flags(&spread, slots), subset)
@@ -49,12 +49,12 @@ impl Extent {
         Extent { fine, representatives, is_spread, places }
     }
 
-    /// Whether all rows are estimated themselves.
+    /// Whether all slots are estimated themselves.
     pub(super) fn is_fine(&self) -> bool {
         self.is_spread.is_empty()
     }
 
-    /// Adds values to all rows: those of `fine` and `representatives`, in that order.
+    /// Adds values to all slots: those of `fine` and `representatives`, in that order.
     pub(super) fn add<V: Value>(&self, subset: &Subset, fine: &[V], representatives: &[V], out: &mut [V]) {
         self.fine.iter().zip(fine).for_each(|(&slot, v)| out[slot as usize] += *v);
         if self.is_fine() {

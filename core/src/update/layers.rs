@@ -38,7 +38,7 @@ pub(crate) fn update_layers(
     let headers: Vec<Header> = plan.after.iter().map(|(header, _)| header.clone()).collect();
     let weights = weights_of(&headers, after);
     let correlation = correlation(map, &map.layer_weights(before));
-    Some(Update { transition, map, goal, work, plan, weights, correlation }.run())
+    Some(LayersUpdate { transition, map, goal, work, plan, weights, correlation }.run())
 }
 
 /// Samples per element, at most, of a stage before the last.
@@ -47,7 +47,7 @@ const QUIET_SAMPLES: u32 = 64;
 /// A map of all that is known once lights have left their layers, and the light of those lights.
 type Left = (Arc<LightMap>, Vec<Arc<Layer>>);
 
-struct Update<'a> {
+struct LayersUpdate<'a> {
     transition: &'a Transition,
     map: &'a LightMap,
     goal: &'a Goal<'a>,
@@ -59,7 +59,7 @@ struct Update<'a> {
     correlation: f64,
 }
 
-impl Update<'_> {
+impl LayersUpdate<'_> {
     fn run(&self) -> Result<Option<Updated>, Canceled> {
         let changed = self.changed();
         let mut leaving = Vec::new();

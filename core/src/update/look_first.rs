@@ -88,8 +88,7 @@ impl<V: Value> Estimator<V> for Look<'_, V> {
         let updater = self.updater;
         out.clone_from(parts);
         updater.straight(round, &self.seen, &self.new_slots, &mut out.direct)?;
-        let rows = (&*self.new_slots, new_slots.as_deref());
-        updater.arriving(round, &self.seen, rows, guide.spots.as_ref(), out)?;
+        updater.arriving(round, &self.seen, (&*self.new_slots, new_slots.as_deref()), guide.spots.as_ref(), out)?;
         let (change, known) = (updater.change(out), Some((&self.rows, &**bounces)));
         let mut fresh = updater.propagate(change, round, &guide.aims, known, &self.seen.source.fine)?;
         let unseen = self.is_seen.iter().zip(fresh.iter_mut().zip(bounces.iter())).filter(|(seen, _)| !**seen);
@@ -130,7 +129,8 @@ impl<V: Value> Updater<'_, V> {
 
     /// What rounds of some slots need.
     pub(super) fn look(&self, is_seen: Vec<bool>) -> Look<'_, V> {
-        let seen = |rows: &[u32]| -> Vec<u32> { rows.iter().copied().filter(|&slot| is_seen[slot as usize]).collect() };
+        let seen =
+            |slots: &[u32]| -> Vec<u32> { slots.iter().copied().filter(|&slot| is_seen[slot as usize]).collect() };
         let (slots, is_near) = (self.world.slots(), self.source.is_near());
         let (unchanged_slots, new_slots) = (seen(&self.unchanged_slots), seen(&self.transition.new_slots));
         let extents = Extents {

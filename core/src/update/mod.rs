@@ -41,8 +41,8 @@ use crate::transport::Work;
 use crate::value::Value;
 use crate::world::Transition;
 
-/// Part of the old map's variance below which that of the change is settled: more samples of it would not show.
-const SETTLED: f64 = 0.25;
+/// Part of the old map's variance below which that of the change is not seen: more samples of it would not show.
+const UNSEEN: f64 = 0.25;
 
 /// Brings `map`, which is right for `transition.before`, up to date with `transition.after`. Progressive as
 /// [`crate::bake`] is; answering 0 to the first [`Observer::plan_round`] gives the old map in its new slots.
@@ -137,7 +137,7 @@ pub(crate) fn run_stage<V: Value>(stage: &Stage, goal: &Goal, work: &Work) -> Re
     // What the old map brings along in noise no number of samples of the change takes away.
     let carried = updater.carried_variance();
     let enough = |s: &Accumulator<V>| {
-        goal.budget.target_rmse.is_some() && s.knows_variance() && updater.mean(&s.variance()) < SETTLED * carried
+        goal.budget.target_rmse.is_some() && s.knows_variance() && updater.mean(&s.variance()) < UNSEEN * carried
     };
     let phase = if first.is_some() { Phase::Rest } else { Phase::Whole };
     let known = known.map(StagePrior::Change);

@@ -12,17 +12,17 @@ use crate::transport::{Effort, Field, Rough, Spots, gather};
 use crate::value::Value;
 
 /// Samples of new slots per sample of the others: they have no old map to lean on.
-const NEW_ROW_SAMPLES: u32 = 4;
+const NEW_SLOT_SAMPLES: u32 = 4;
 
 /// Samples of the solve among the new slots themselves.
 const SELF_SAMPLES: u32 = 32;
 
 impl<V: Value> Updater<'_, V> {
     /// Direct light of new slots, written over their slots.
-    pub(super) fn direct_of_new_slots(&self, round: &Round, rows: &[u32], direct: &mut [V]) -> Result<(), Canceled> {
-        let (samples, seed) = (round.samples * NEW_ROW_SAMPLES, subseed(round.seed, 0xd0));
-        let found: Vec<V> = direct_of(self.world, rows, samples, &Effort::default(), seed, self.work)?;
-        rows.iter().zip(found).for_each(|(&slot, light)| direct[slot as usize] = light);
+    pub(super) fn direct_of_new_slots(&self, round: &Round, slots: &[u32], direct: &mut [V]) -> Result<(), Canceled> {
+        let (samples, seed) = (round.samples * NEW_SLOT_SAMPLES, subseed(round.seed, 0xd0));
+        let found: Vec<V> = direct_of(self.world, slots, samples, &Effort::default(), seed, self.work)?;
+        slots.iter().zip(found).for_each(|(&slot, light)| direct[slot as usize] = light);
         Ok(())
     }
 
@@ -31,17 +31,17 @@ impl<V: Value> Updater<'_, V> {
     pub(super) fn new_slots(
         &self,
         round: &Round,
-        rows: &[u32],
+        slots: &[u32],
         known: Option<&[V]>,
         spots: Option<&Spots>,
         direct: &[V],
         indirect: &mut [V],
     ) -> Result<(), Canceled> {
-        if rows.is_empty() {
+        if slots.is_empty() {
             return Ok(());
         }
         let (world, work) = (self.world, self.work);
-        let (samples, nominal) = (round.samples * NEW_ROW_SAMPLES, Effort::default());
+        let (samples, nominal) = (round.samples * NEW_SLOT_SAMPLES, Effort::default());
         // What they see of the unchanged elements: old light, changed direct light.
         let mut field = self.with_direct(direct);
         world.validity.fill(&mut field);
@@ -55,8 +55,8 @@ impl<V: Value> Updater<'_, V> {
         let rough = Rough::default();
         let light = Field { total: &field, direct: &field, rough: &rough };
         let gathered =
-            gather(world, &light.source(world, spots), rows, samples, &nominal, subseed(round.seed, 0x0b), work)?;
-        rows.iter().zip(gathered).for_each(|(&slot, i)| indirect[slot as usize] = i);
+            gather(world, &light.source(world, spots), slots, samples, &nominal, subseed(round.seed, 0x0b), work)?;
+        slots.iter().zip(gathered).for_each(|(&slot, i)| indirect[slot as usize] = i);
         self.buffers.give(field);
         Ok(())
     }

@@ -5,13 +5,13 @@ use std::f32::consts::FRAC_1_PI;
 use glam::Vec3;
 
 use crate::scene::{Light, LightKind, Scene};
-use crate::tiles::Place;
+use crate::tiles::ChangedSphere;
 use crate::world::{Placed, Transition, World};
 
 /// Everything that came, went, moved, was repainted or shines differently and has a place. `brightest` is the largest
 /// irradiance / π there was: no object hides or reflects more.
-pub(super) fn places(transition: &Transition, brightest: f32) -> Vec<Place> {
-    let mut places: Vec<Place> =
+pub(super) fn places(transition: &Transition, brightest: f32) -> Vec<ChangedSphere> {
+    let mut places: Vec<ChangedSphere> =
         transition.changed_bounds().into_iter().map(|bounds| place_of(bounds, brightest)).collect();
     let Transition { before, after, .. } = transition;
     let repaint = transition.repaint();
@@ -40,9 +40,9 @@ pub(super) fn places(transition: &Transition, brightest: f32) -> Vec<Place> {
 }
 
 /// `radiance` is what may change at most on the object.
-fn place_of((low, high): (Vec3, Vec3), radiance: f32) -> Place {
+fn place_of((low, high): (Vec3, Vec3), radiance: f32) -> ChangedSphere {
     let radius = 0.5 * (high - low).length();
-    Place { middle: 0.5 * (low + high), radius, power: radiance * radius * radius }
+    ChangedSphere { middle: 0.5 * (low + high), radius, power: radiance * radius * radius }
 }
 
 fn light_of<'a>(scene: &'a Scene, name: &str) -> Option<&'a Light> {
@@ -54,7 +54,7 @@ fn shines_alike(a: &Light, b: &Light) -> bool {
 }
 
 /// None where a light shines from afar.
-fn place_of_light(world: &World, light: &Light) -> Option<Place> {
+fn place_of_light(world: &World, light: &Light) -> Option<ChangedSphere> {
     let strength = light.strength().max_element();
     match &light.kind {
         LightKind::Emissive { object, .. } => {
@@ -63,7 +63,7 @@ fn place_of_light(world: &World, light: &Light) -> Option<Place> {
         }
         LightKind::Point { position, .. } | LightKind::Spot { position, .. } => {
             let middle = (*position - world.scene.origin).as_vec3();
-            Some(Place { middle, radius: world.spacing(), power: strength * FRAC_1_PI })
+            Some(ChangedSphere { middle, radius: world.spacing(), power: strength * FRAC_1_PI })
         }
         LightKind::Directional { .. } | LightKind::Environment | LightKind::Sky { .. } => None,
     }

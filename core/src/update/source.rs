@@ -52,14 +52,14 @@ struct RayChange<V> {
 }
 
 /// Rays towards the geometry of an edit.
-pub(super) struct Source<'a> {
+pub(super) struct SourceTerm<'a> {
     transition: &'a Transition,
     spheres: Spheres,
 }
 
-impl<'a> Source<'a> {
-    pub(super) fn new(transition: &'a Transition) -> Source<'a> {
-        Source { transition, spheres: Spheres::new(&transition.changed_triangles()) }
+impl<'a> SourceTerm<'a> {
+    pub(super) fn new(transition: &'a Transition) -> SourceTerm<'a> {
+        SourceTerm { transition, spheres: Spheres::new(&transition.changed_triangles()) }
     }
 
     /// Where S is not smooth: near the geometry that changed.
@@ -73,7 +73,7 @@ impl<'a> Source<'a> {
         }
     }
 
-    /// Adds S to `indirect` and the change of visible sky to `direct`, for all rows of `extent`.
+    /// Adds S to `indirect` and the change of visible sky to `direct`, for all slots of `extent`.
     #[expect(clippy::too_many_arguments, reason = "the state of one pass, named once")]
     pub(super) fn estimate<V: Value>(
         &self,
@@ -100,10 +100,10 @@ impl<'a> Source<'a> {
         Ok(())
     }
 
-    /// (change of visible sky, S) of some rows.
+    /// (change of visible sky, S) of some slots.
     fn gather<V: Value>(
         &self,
-        rows: &[u32],
+        slots: &[u32],
         maps: &Maps<V>,
         samples: u32,
         seed: u64,
@@ -111,7 +111,7 @@ impl<'a> Source<'a> {
     ) -> Result<(Vec<V>, Vec<V>), Canceled> {
         let full = samples as f32;
         let world = &self.transition.after;
-        let values = work.map(rows, |_, slot, rays| {
+        let values = work.map(slots, |_, slot, rays| {
             let from @ (point, n) = world.ray_origin(slot as usize);
             let Some(mixture) = Mixture::new(&self.spheres, point, n) else { return (V::default(), V::default()) };
             let wanted =
@@ -254,7 +254,7 @@ mod tests {
         let (old, new) = (light(before), light(after));
         let spots = Spots::of_map(after, &new, &[Vec3::ONE]);
         assert!(spots.is_some());
-        let source = Source::new(&transition);
+        let source = SourceTerm::new(&transition);
         // Where the box hides the spot, and some places where it does not.
         let faces_it = |slot: u32| after.positions()[slot as usize].x > 1.99;
         let slots: Vec<u32> = (0..before.slots() as u32).filter(|&s| faces_it(s) || s % 29 == 0).collect();

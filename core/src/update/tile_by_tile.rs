@@ -12,7 +12,7 @@ use crate::job::{Canceled, Pass, Progress, Snapshot};
 use crate::layers::Stack;
 use crate::random::subseed;
 use crate::rounds::{First, Goal, Phase, Round, Rounds};
-use crate::tiles::{Place, cut};
+use crate::tiles::{ChangedSphere, cut};
 use crate::transport::Work;
 use crate::value::Value;
 
@@ -71,7 +71,7 @@ impl<V: Value> Updater<'_, V> {
     }
 
     /// By the bound on the change, the largest first.
-    fn bounds(&self, places: &[Place]) -> Vec<f32> {
+    fn bounds(&self, places: &[ChangedSphere]) -> Vec<f32> {
         let world = self.world;
         let bound = |slot: usize| {
             let (point, n) = (world.positions()[slot], world.normals()[slot]);
@@ -94,7 +94,9 @@ impl<V: Value> Updater<'_, V> {
     /// What is shown before the first tile: old light, and on new slots, which have none, what is known roughly.
     fn carried(&self, old: &Stack<V>, prior: &Prior<V>, known: &Known<V>) -> Stack<V> {
         let mut stack = old.clone();
-        for (&slot, indirect) in self.transition.new_slots.iter().zip(prior.new_slots.iter().flat_map(|rows| &**rows)) {
+        for (&slot, indirect) in
+            self.transition.new_slots.iter().zip(prior.new_slots.iter().flat_map(|values| &**values))
+        {
             let slot = slot as usize;
             (stack.light.direct[slot], stack.light.indirect[slot]) = (known.parts.direct[slot], *indirect);
         }

@@ -48,7 +48,7 @@ pub(super) struct Updater<'a, V> {
     pub(super) is_unchanged: Vec<bool>,
     pub(super) subset: Subset,
     pub(super) rows: Arc<Rows>,
-    pub(super) source: source::Source<'a>,
+    pub(super) source: source::SourceTerm<'a>,
     direct: direct::DirectChange<'a>,
     /// Change of albedo per part of the new world; none where nothing is repainted.
     pub(super) repaint: Option<Vec<Vec3>>,
@@ -94,7 +94,7 @@ impl<'a, V: Value> Updater<'a, V> {
             light,
             before_total,
             rows: Arc::new(Rows::all(&subset)),
-            source: source::Source::new(transition),
+            source: source::SourceTerm::new(transition),
             unchanged_slots,
             is_unchanged,
             subset,
@@ -104,12 +104,12 @@ impl<'a, V: Value> Updater<'a, V> {
         }
     }
 
-    /// Area-weighted mean over the rows that keep an old value.
+    /// Area-weighted mean over the slots that keep an old value.
     pub(super) fn mean(&self, values: &[f32]) -> f64 {
         self.mean_of(|slot| values[slot])
     }
 
-    /// Area-weighted mean, over the rows that keep an old value, of the variance that the old map brings along.
+    /// Area-weighted mean, over the slots that keep an old value, of the variance that the old map brings along.
     pub(super) fn carried_variance(&self) -> f64 {
         self.mean_of(|slot| self.stage.old.variance(slot))
     }
@@ -130,8 +130,8 @@ impl<'a, V: Value> Updater<'a, V> {
 
     /// The mean of what was done first and what followed, by samples.
     pub(super) fn merged(&self, first: &First<V>, sum: &Accumulator<V>) -> Stack<V> {
-        let rows = self.unchanged_slots.iter().chain(&self.transition.new_slots).copied();
-        first.merged(sum, rows, &self.world.validity)
+        let slots = self.unchanged_slots.iter().chain(&self.transition.new_slots).copied();
+        first.merged(sum, slots, &self.world.validity)
     }
 
     /// The first estimate, and what others go by.
@@ -181,10 +181,9 @@ impl<'a, V: Value> Updater<'a, V> {
         extents: &Extents,
         out: &mut LightValues<V>,
     ) -> Result<(), Canceled> {
-        let rows = &self.transition.new_slots;
         out.blacken(self.world.slots());
-        self.straight(round, extents, rows, &mut out.direct)?;
-        self.arriving(round, extents, (rows, new_slots.as_deref()), guide.spots.as_ref(), out)?;
+        self.straight(round, extents, &self.transition.new_slots, &mut out.direct)?;
+        self.arriving(round, extents, (&self.transition.new_slots, new_slots.as_deref()), guide.spots.as_ref(), out)?;
         let bounces = self.propagate(self.change(out), round, &guide.aims, None, &extents.source.fine)?;
         out.add_indirect(&bounces);
         self.buffers.give(bounces);

@@ -1,4 +1,4 @@
-//! The end of a request: trees of what came, what it hides and closes, and the way from the world before to that after.
+//! The end of a request: trees of what was inserted, what it hides and closes, and the way from the world before to that after.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -21,7 +21,7 @@ impl Draft {
         let scene = self.scene_mut();
         let names: BTreeSet<&str> = scene.lights.iter().map(|light| light.name.as_str()).collect();
         scene.groups.retain(|light, _| names.contains(light.as_str()));
-        // An object that came and went within the request leaves a trace in `touched` only, which is harmless.
+        // An object that is inserted and removed within the request leaves a trace in `touched` only, which is harmless.
         let changed = !self.removed.is_empty() || !self.inserted.is_empty();
         let common = self.world.trees.clone();
         self.world.emitters = Arc::new(self.world.resolve_emitters());
@@ -63,7 +63,7 @@ impl Draft {
         })
     }
 
-    /// Trees of what came.
+    /// Trees of what was inserted.
     fn build_small_trees(&mut self) {
         self.world.trees.generation += 1;
         self.note_openings();
@@ -72,7 +72,7 @@ impl Draft {
         }
     }
 
-    /// Backs and solidity of what came, now that it can be asked with rays.
+    /// Backs and solidity of what was inserted, now that it can be asked with rays.
     fn finish_new_objects(&mut self) -> Result<(), EditError> {
         let indices: Vec<usize> =
             (0..self.world.placed.len()).filter(|&i| self.inserted.contains(&self.world.placed[i].key)).collect();
@@ -118,7 +118,7 @@ fn merged_tree<'a>(objects: impl Iterator<Item = &'a Placed>, openings: &Option<
     (!ids.is_empty()).then(|| Trees::of(Bvh::build(&corners, &ids, BuildQuality::Fast), openings.clone(), 0))
 }
 
-/// Rows that get their first value: of objects that came, and of elements that were invalid. Ascending.
+/// Slots that get their first value: of inserted objects, and of elements that were invalid. Ascending.
 fn new_slots(before: &World, after: &World, ranges: &[Range<u32>]) -> Vec<u32> {
     let is_computed = |slot: u32| after.areas()[slot as usize] > 0.0 && after.validity.is_valid(slot as usize);
     let is_of_new = |slot: u32| ranges.iter().any(|range| range.contains(&slot));
@@ -128,9 +128,9 @@ fn new_slots(before: &World, after: &World, ranges: &[Range<u32>]) -> Vec<u32> {
             [&before.space.slots().owners, &after.space.slots().owners].map(|owners| owners.get(slot as usize));
         owners[0] == owners[1] && !is_of_new(slot)
     });
-    let mut rows: Vec<u32> = inserted.chain(uncovered).filter(|&slot| is_computed(slot)).collect();
-    rows.sort_unstable();
-    rows
+    let mut slots: Vec<u32> = inserted.chain(uncovered).filter(|&slot| is_computed(slot)).collect();
+    slots.sort_unstable();
+    slots
 }
 
 /// The atlas of a world whose own is that before an edit.

@@ -64,7 +64,7 @@ pub(super) fn draw_case(
     std::fs::create_dir_all(&options.folder)
         .with_context(|| format!("cannot make the folder {}", options.folder.display()))?;
     let eye = Eye { viewpoint: viewpoint(&case.before, options)?, view: view_of(mode), options: &options.render };
-    // An object that came can be looked through: its light is there, it is not. Figure 6.
+    // An inserted object can be looked through: its light is there, it is not. Figure 6.
     let is_insert = case.edits.iter().any(|edit| matches!(edit, Edit::Insert { .. }));
     let truth = traced(case, &eye, shown.last().map(|s| &*s.map), is_insert, (reference_samples, seed))?;
     shown.push(Shown { name: "reference", cost: format!("{reference_samples} paths"), map: Arc::new(truth) });
@@ -78,7 +78,7 @@ pub(super) fn draw_case(
             .map(|s| Shown { name: s.name, cost: s.cost.clone(), map: Arc::new(s.map.resized(case.before.slots())) })
             .collect();
         let hidden = Gallery::new((&case.before, base), &case.before, &without, mode, &eye, &options.crops)?;
-        files.write("sheet-without-object", &hidden.sheet(&case.name, ", what came is not drawn").draw())?;
+        files.write("sheet-without-object", &hidden.sheet(&case.name, ", what was inserted is not drawn").draw())?;
     }
     Ok(gallery.report(&files))
 }

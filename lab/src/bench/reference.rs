@@ -237,7 +237,7 @@ mod tests {
         assert!(reference.mean_square_bias(&[&maps[0]], Stated::Indirect).is_none());
     }
 
-    /// Where nothing has changed the old map is right, whatever its errors; elements that have come count whole.
+    /// Where nothing has changed the old map is right, whatever its errors; elements that were inserted count whole.
     #[test]
     fn errors_of_the_old_map_drop_out_of_the_change() {
         use rebake_core::scene::{Material, Mesh, Object, Scene};

@@ -67,7 +67,7 @@ pub enum PaperError {
     #[error(transparent)]
     Canceled(#[from] Canceled),
     /// Lights changed otherwise than with the objects they are on.
-    #[error("the published method knows objects that come and go, and no edits of lights")]
+    #[error("the published method knows objects that are inserted and removed, and no edits of lights")]
     Lights,
 }
 

@@ -89,7 +89,7 @@ pub struct Requests {
 
 /// Where a job stands, with what it needs there.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Stage {
+pub enum Standing {
     /// Waits for its turn.
     Waiting {
         /// Starts of jobs when it joined the line: how long it waits. Where its scene has had a turn since, that counts.
@@ -155,7 +155,7 @@ pub struct Job {
     /// Whose turn comes sooner.
     pub priority: Priority,
     /// Where it stands.
-    pub stage: Stage,
+    pub standing: Standing,
     /// How far it is.
     pub progress: JobProgress,
     /// When it was accepted.
@@ -165,17 +165,17 @@ pub struct Job {
 impl Job {
     /// A job that waits.
     pub fn new(number: JobNumber, scene: SceneNumber, kind: JobKind, priority: Priority, now: Timestamp) -> Job {
-        let stage = Stage::Waiting { turn: 0, merged_into: None, started_at: None };
-        Job { number, scene, kind, priority, stage, progress: JobProgress::default(), created_at: now }
+        let standing = Standing::Waiting { turn: 0, merged_into: None, started_at: None };
+        Job { number, scene, kind, priority, standing, progress: JobProgress::default(), created_at: now }
     }
 
     /// The word for where it stands.
     pub fn state(&self) -> JobState {
-        match &self.stage {
-            Stage::Waiting { .. } => JobState::Queued,
-            Stage::Running { .. } => JobState::Running,
-            Stage::Paused { .. } => JobState::Paused,
-            Stage::Ended(Ended { outcome, .. }) => match outcome {
+        match &self.standing {
+            Standing::Waiting { .. } => JobState::Queued,
+            Standing::Running { .. } => JobState::Running,
+            Standing::Paused { .. } => JobState::Paused,
+            Standing::Ended(Ended { outcome, .. }) => match outcome {
                 Outcome::Succeeded => JobState::Succeeded,
                 Outcome::Failed(_) => JobState::Failed,
                 Outcome::Canceled => JobState::Canceled,
@@ -185,7 +185,7 @@ impl Job {
 
     /// It runs.
     pub fn is_running(&self) -> bool {
-        matches!(self.stage, Stage::Running { .. })
+        matches!(self.standing, Standing::Running { .. })
     }
 
     /// Nothing more will happen.
@@ -195,35 +195,35 @@ impl Job {
 
     /// Its end, where it has come.
     pub fn ended(&self) -> Option<&Ended> {
-        match &self.stage {
-            Stage::Ended(ended) => Some(ended),
-            Stage::Waiting { .. } | Stage::Running { .. } | Stage::Paused { .. } => None,
+        match &self.standing {
+            Standing::Ended(ended) => Some(ended),
+            Standing::Waiting { .. } | Standing::Running { .. } | Standing::Paused { .. } => None,
         }
     }
 
     /// When it began, the last time.
     pub fn started_at(&self) -> Option<Timestamp> {
-        match self.stage {
-            Stage::Running { started_at, .. } => Some(started_at),
-            Stage::Waiting { started_at, .. } | Stage::Paused { started_at } => started_at,
-            Stage::Ended(Ended { started_at, .. }) => started_at,
+        match self.standing {
+            Standing::Running { started_at, .. } => Some(started_at),
+            Standing::Waiting { started_at, .. } | Standing::Paused { started_at } => started_at,
+            Standing::Ended(Ended { started_at, .. }) => started_at,
         }
     }
 
     /// The job that does its work with its own, or did.
     pub fn merged_into(&self) -> Option<JobNumber> {
-        match self.stage {
-            Stage::Waiting { merged_into, .. } | Stage::Ended(Ended { merged_into, .. }) => merged_into,
-            Stage::Running { .. } | Stage::Paused { .. } => None,
+        match self.standing {
+            Standing::Waiting { merged_into, .. } | Standing::Ended(Ended { merged_into, .. }) => merged_into,
+            Standing::Running { .. } | Standing::Paused { .. } => None,
         }
     }
 
     /// What clients have asked of it and not taken back.
     pub fn requests(&self) -> Requests {
-        match self.stage {
-            Stage::Waiting { .. } => Requests::default(),
-            Stage::Running { requests, .. } | Stage::Ended(Ended { requests, .. }) => requests,
-            Stage::Paused { .. } => Requests { pause: true, cancel: false },
+        match self.standing {
+            Standing::Waiting { .. } => Requests::default(),
+            Standing::Running { requests, .. } | Standing::Ended(Ended { requests, .. }) => requests,
+            Standing::Paused { .. } => Requests { pause: true, cancel: false },
         }
     }
 
@@ -234,14 +234,14 @@ impl Job {
 
     /// Whether it waits and no other job does its work.
     pub fn is_in_line(&self) -> bool {
-        matches!(self.stage, Stage::Waiting { merged_into: None, .. })
+        matches!(self.standing, Standing::Waiting { merged_into: None, .. })
     }
 
     /// In line → running. False where it is not in line.
     pub fn start(&mut self, now: Timestamp) -> bool {
         let is_in_line = self.is_in_line();
         if is_in_line {
-            self.stage = Stage::Running { started_at: now, requests: Requests::default() };
+            self.standing = Standing::Running { started_at: now, requests: Requests::default() };
             self.progress = JobProgress { version: self.progress.version, ..JobProgress::default() };
         }
         is_in_line
@@ -249,8 +249,8 @@ impl Job {
 
     /// In line → merged into another job. False where it is not in line.
     pub fn merge(&mut self, other: JobNumber) -> bool {
-        match &mut self.stage {
-            Stage::Waiting { merged_into: into @ None, .. } => {
+        match &mut self.standing {
+            Standing::Waiting { merged_into: into @ None, .. } => {
                 *into = Some(other);
                 true
             }
@@ -260,65 +260,65 @@ impl Job {
 
     /// Takes it out of line at once; asks one that runs to make room.
     pub fn pause(&mut self) -> Change {
-        match &mut self.stage {
-            Stage::Waiting { started_at, .. } => {
-                self.stage = Stage::Paused { started_at: *started_at };
+        match &mut self.standing {
+            Standing::Waiting { started_at, .. } => {
+                self.standing = Standing::Paused { started_at: *started_at };
                 Change::Done
             }
-            Stage::Running { requests, .. } => {
+            Standing::Running { requests, .. } => {
                 requests.pause = true;
                 Change::Requested
             }
-            Stage::Paused { .. } => Change::Done,
-            Stage::Ended(_) => Change::Ended,
+            Standing::Paused { .. } => Change::Done,
+            Standing::Ended(_) => Change::Ended,
         }
     }
 
     /// Puts it in line again, after so many starts of jobs. One that runs and was asked to make room goes on as soon as it
     /// has.
     pub fn resume(&mut self, turn: u64) -> Change {
-        match &mut self.stage {
-            Stage::Paused { started_at } => {
-                self.stage = Stage::Waiting { turn, merged_into: None, started_at: *started_at };
+        match &mut self.standing {
+            Standing::Paused { started_at } => {
+                self.standing = Standing::Waiting { turn, merged_into: None, started_at: *started_at };
             }
-            Stage::Running { requests, .. } => requests.pause = false,
-            Stage::Waiting { .. } => {}
-            Stage::Ended(_) => return Change::Ended,
+            Standing::Running { requests, .. } => requests.pause = false,
+            Standing::Waiting { .. } => {}
+            Standing::Ended(_) => return Change::Ended,
         }
         Change::Done
     }
 
     /// Ends it at once; asks one that runs to stop.
     pub fn cancel(&mut self, now: Timestamp) -> Change {
-        match &mut self.stage {
-            Stage::Waiting { .. } | Stage::Paused { .. } => {
+        match &mut self.standing {
+            Standing::Waiting { .. } | Standing::Paused { .. } => {
                 self.end(Outcome::Canceled, now);
                 Change::Done
             }
-            Stage::Running { requests, .. } => {
+            Standing::Running { requests, .. } => {
                 requests.cancel = true;
                 Change::Requested
             }
-            Stage::Ended(_) => Change::Ended,
+            Standing::Ended(_) => Change::Ended,
         }
     }
 
     /// The end of its run. One that is interrupted waits again, is paused or ends, as it was asked to.
     pub fn stop(&mut self, end: &RunEnd, now: Timestamp) {
-        let Stage::Running { started_at, requests } = self.stage else { return };
+        let Standing::Running { started_at, requests } = self.standing else { return };
         let started_at = Some(started_at);
         match end {
             RunEnd::Ended(outcome) => self.end(outcome.clone(), now),
             RunEnd::Interrupted if requests.cancel => self.end(Outcome::Canceled, now),
-            RunEnd::Interrupted if requests.pause => self.stage = Stage::Paused { started_at },
-            RunEnd::Interrupted => self.stage = Stage::Waiting { turn: 0, merged_into: None, started_at },
+            RunEnd::Interrupted if requests.pause => self.standing = Standing::Paused { started_at },
+            RunEnd::Interrupted => self.standing = Standing::Waiting { turn: 0, merged_into: None, started_at },
         }
     }
 
     /// The end of the run of the job that does this one's work, with its progress: this one ends as that does, or is in line
     /// again.
     pub fn stop_merged(&mut self, progress: JobProgress, end: &RunEnd, now: Timestamp) {
-        let Stage::Waiting { merged_into, .. } = &mut self.stage else { return };
+        let Standing::Waiting { merged_into, .. } = &mut self.standing else { return };
         match end {
             RunEnd::Interrupted | RunEnd::Ended(Outcome::Canceled) => *merged_into = None,
             RunEnd::Ended(outcome) => {
@@ -342,20 +342,20 @@ impl Job {
         if outcome == Outcome::Succeeded {
             self.progress.fraction = 1.0;
         }
-        self.stage = Stage::Ended(Ended { outcome, started_at, finished_at: now, merged_into, requests });
+        self.standing = Standing::Ended(Ended { outcome, started_at, finished_at: now, merged_into, requests });
     }
 
     /// Puts a job of an earlier life in line, after so many starts of jobs: whatever ran then runs no more.
     pub fn restore(&mut self, turn: u64) {
-        match &mut self.stage {
-            Stage::Running { requests: Requests { pause: true, .. }, .. } => {
-                self.stage = Stage::Paused { started_at: None };
+        match &mut self.standing {
+            Standing::Running { requests: Requests { pause: true, .. }, .. } => {
+                self.standing = Standing::Paused { started_at: None };
             }
-            Stage::Running { .. } => self.stage = Stage::Waiting { turn, merged_into: None, started_at: None },
-            Stage::Waiting { started_at, .. } => {
-                self.stage = Stage::Waiting { turn, merged_into: None, started_at: *started_at };
+            Standing::Running { .. } => self.standing = Standing::Waiting { turn, merged_into: None, started_at: None },
+            Standing::Waiting { started_at, .. } => {
+                self.standing = Standing::Waiting { turn, merged_into: None, started_at: *started_at };
             }
-            Stage::Paused { .. } | Stage::Ended(_) => {}
+            Standing::Paused { .. } | Standing::Ended(_) => {}
         }
     }
 }

@@ -200,9 +200,10 @@ impl Jobs {
         let changed = state.queue.finish(number, end, now);
         // One that was merged and canceled while its end was being kept ended as its client was told; one that made way and was
         // canceled just then has ended.
-        let has_ended = |job: &JobNumber| state.queue.get(*job).is_some_and(Job::has_ended);
-        let canceled =
-            changed.iter().filter(|job| *end == RunEnd::Interrupted && !kept.contains(job) && has_ended(job));
+        let canceled = changed.iter().filter(|job| {
+            let has_ended = state.queue.get(**job).is_some_and(Job::has_ended);
+            *end == RunEnd::Interrupted && has_ended && !kept.contains(job)
+        });
         for job in kept.iter().filter(|job| !changed.contains(job)).chain(canceled) {
             let record = state.queue.get(*job).cloned().and_then(|job| state.record(job));
             if let Some(Err(error)) = record.map(|record| self.store.job_changed(&record)) {

@@ -76,7 +76,7 @@ fn absorb(before: &mut [Option<Edit>], edit: &Edit) -> Option<Edit> {
 /// be.
 fn is_replaced(property: Property<'_>) -> bool {
     match property {
-        Property::Place | Property::Albedo | Property::AlbedoOf(_) | Property::Strength => true,
+        Property::Transform | Property::Albedo | Property::AlbedoOf(_) | Property::Strength => true,
         // Hidden lights keep their names.
         Property::Visibility | Property::Group => false,
     }

@@ -9,7 +9,7 @@ use std::fmt;
 
 use jiff::Timestamp;
 
-pub use super::job::{Change, Ended, Job, JobNumber, JobProgress, Outcome, Requests, RunEnd, SceneNumber, Stage};
+pub use super::job::{Change, Ended, Job, JobNumber, JobProgress, Outcome, Requests, RunEnd, SceneNumber, Standing};
 pub use super::words::{JobKind, JobState, Priority};
 
 /// How many jobs there may be.
@@ -101,7 +101,7 @@ impl Queue {
 
     /// Puts a job in its promised place.
     pub fn push(&mut self, mut job: Job) {
-        if let Stage::Waiting { turn, .. } = &mut job.stage {
+        if let Standing::Waiting { turn, .. } = &mut job.standing {
             *turn = self.turn;
         }
         self.jobs.insert(job.number, job);
@@ -355,7 +355,7 @@ impl fmt::Display for Queue {
             if let Some(into) = job.merged_into() {
                 write!(f, " (in {into})")?;
             }
-            if let Stage::Running { requests, .. } = &job.stage {
+            if let Standing::Running { requests, .. } = &job.standing {
                 if requests.cancel {
                     write!(f, " (to be canceled)")?;
                 }

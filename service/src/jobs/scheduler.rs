@@ -3,7 +3,7 @@
 use std::cmp::Reverse;
 use std::collections::HashMap;
 
-use super::queue::{Job, JobKind, JobNumber, Priority, Queue, SceneNumber, Stage};
+use super::queue::{Job, JobKind, JobNumber, Priority, Queue, SceneNumber, Standing};
 
 /// What to do next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,9 +49,9 @@ pub fn tick(queue: &Queue, slots: usize) -> Decision {
 
 /// Starts when a job joined the line; where it does not wait, none.
 fn joined(job: &Job) -> u64 {
-    match job.stage {
-        Stage::Waiting { turn, .. } => turn,
-        Stage::Running { .. } | Stage::Paused { .. } | Stage::Ended(_) => 0,
+    match job.standing {
+        Standing::Waiting { turn, .. } => turn,
+        Standing::Running { .. } | Standing::Paused { .. } | Standing::Ended(_) => 0,
     }
 }
 

@@ -4,7 +4,7 @@ use jiff::Timestamp;
 
 use super::queue::{
     Change, Ended, Full, Job, JobKind, JobNumber, JobProgress, JobState, Outcome, Priority, Queue, QueueLimits,
-    Requests, RunEnd, SceneNumber, Stage,
+    Requests, RunEnd, SceneNumber, Standing,
 };
 use super::scheduler::{Decision, Spell, UpToDate, idle, is_idle, make_room, tick};
 
@@ -288,19 +288,19 @@ fn jobs_of_an_earlier_life_wait_again() {
     let mut queue = queue(10, 10, 10);
     let ended = |outcome| {
         let requests = Requests::default();
-        Stage::Ended(Ended { outcome, started_at: Some(NOW), finished_at: NOW, merged_into: Some(1), requests })
+        Standing::Ended(Ended { outcome, started_at: Some(NOW), finished_at: NOW, merged_into: Some(1), requests })
     };
-    let stages = [
-        Stage::Waiting { turn: 9, merged_into: Some(2), started_at: Some(NOW) },
-        Stage::Running { started_at: NOW, requests: Requests::default() },
-        Stage::Paused { started_at: None },
+    let standings = [
+        Standing::Waiting { turn: 9, merged_into: Some(2), started_at: Some(NOW) },
+        Standing::Running { started_at: NOW, requests: Requests::default() },
+        Standing::Paused { started_at: None },
         ended(Outcome::Succeeded),
         ended(Outcome::Failed("it broke".to_owned())),
         ended(Outcome::Canceled),
-        Stage::Running { started_at: NOW, requests: Requests { pause: true, cancel: false } },
+        Standing::Running { started_at: NOW, requests: Requests { pause: true, cancel: false } },
     ];
-    for (number, stage) in (1..).zip(stages) {
-        queue.restore(Job { stage, ..Job::new(number, 1, JobKind::Edit, Priority::Normal, NOW) });
+    for (number, standing) in (1..).zip(standings) {
+        queue.restore(Job { standing, ..Job::new(number, 1, JobKind::Edit, Priority::Normal, NOW) });
     }
     assert_eq!(
         queue.to_string(),

@@ -46,12 +46,12 @@ pub(crate) fn spawn(jobs: Arc<Jobs>, run: Run, pool: &Arc<ThreadPool>) {
         }
         let ms = started.elapsed().as_millis() as u64;
         tracing::info!(?end, ms, version = run.scene.published().version, "ended");
-        let ended =
-            Ended { scene: run.scene.clone(), sequence: run.spec.sequence, asks_for_more: run.asks_for_more(&end) };
+        let remains =
+            Remains { scene: run.scene.clone(), sequence: run.spec.sequence, asks_for_more: run.asks_for_more(&end) };
         let job = run.job;
         drop(run);
-        jobs.finish(job, &ended.scene, &end, its_pool);
-        after(&jobs, ended);
+        jobs.finish(job, &remains.scene, &end, its_pool);
+        after(&jobs, remains);
     });
 }
 
@@ -65,7 +65,7 @@ impl Run {
 }
 
 /// What is left of a job that has ended.
-struct Ended {
+struct Remains {
     scene: Arc<SceneEntry>,
     sequence: Sequence,
     asks_for_more: bool,
@@ -73,8 +73,8 @@ struct Ended {
 
 /// What may follow a job: work towards the scene's target, and while nobody waits geometry of canceled edits behind it, and
 /// fresh trees.
-fn after(jobs: &Arc<Jobs>, ended: Ended) {
-    let Ended { scene, sequence, asks_for_more } = ended;
+fn after(jobs: &Arc<Jobs>, remains: Remains) {
+    let Remains { scene, sequence, asks_for_more } = remains;
     if scene.is_deleted() {
         return;
     }

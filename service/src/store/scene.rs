@@ -51,7 +51,7 @@ pub(crate) struct SceneEntry {
     pub(crate) probes: KeptProbes,
     /// Ambient occlusion that a client asked for.
     pub(crate) occlusion: KeptPart,
-    /// From where light comes, the same.
+    /// From where light comes, where a client asked for that.
     pub(crate) directional: KeptPart,
     published: watch::Sender<Arc<Published>>,
     deleted: watch::Sender<bool>,

@@ -4,7 +4,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::jobs::queue::{
-    Ended, Job, JobKind, JobNumber, JobProgress, JobState, Outcome, Priority, Requests, SceneNumber, Stage,
+    Ended, Job, JobKind, JobNumber, JobProgress, JobState, Outcome, Priority, Requests, SceneNumber, Standing,
 };
 
 #[derive(Serialize, Deserialize)]
@@ -47,7 +47,7 @@ pub(super) fn serialize<S: Serializer>(job: &Job, serializer: S) -> Result<S::Ok
 pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Job, D::Error> {
     let stored = StoredJob::deserialize(deserializer)?;
     Ok(Job {
-        stage: stage(&stored),
+        standing: standing(&stored),
         number: stored.number,
         scene: stored.scene,
         kind: stored.kind,
@@ -57,23 +57,23 @@ pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<
     })
 }
 
-fn stage(stored: &StoredJob) -> Stage {
+fn standing(stored: &StoredJob) -> Standing {
     let StoredJob { merged_into, started_at, .. } = *stored;
     let requests = Requests { pause: stored.pause_requested, cancel: stored.cancel_requested };
     let ended = |outcome: Outcome| {
         let finished_at = stored.finished_at.unwrap_or(stored.created_at);
-        Stage::Ended(Ended { outcome, started_at, finished_at, merged_into, requests })
+        Standing::Ended(Ended { outcome, started_at, finished_at, merged_into, requests })
     };
     match (stored.state, started_at) {
         (JobState::Succeeded, _) => ended(Outcome::Succeeded),
         (JobState::Failed, _) => ended(Outcome::Failed(stored.error.clone().unwrap_or_default())),
         (JobState::Canceled, _) => ended(Outcome::Canceled),
-        (JobState::Running, Some(started_at)) => Stage::Running { started_at, requests },
+        (JobState::Running, Some(started_at)) => Standing::Running { started_at, requests },
         // Earlier builds let one that was asked to stop as it made way wait for its next run.
-        (_, Some(started_at)) if requests.cancel => Stage::Running { started_at, requests },
+        (_, Some(started_at)) if requests.cancel => Standing::Running { started_at, requests },
         // Earlier builds kept the pause of one that waited without its state.
-        _ if requests.pause => Stage::Paused { started_at },
-        _ => Stage::Waiting { turn: 0, merged_into, started_at },
+        _ if requests.pause => Standing::Paused { started_at },
+        _ => Standing::Waiting { turn: 0, merged_into, started_at },
     }
 }
 
@@ -109,19 +109,19 @@ mod tests {
         let (started_at, finished_at) = (Some(STARTED.trim_matches('"').parse().unwrap()), FINISHED.trim_matches('"'));
         let finished_at = finished_at.parse().unwrap();
         let asked = |pause, cancel| Requests { pause, cancel };
-        let running = |requests| Stage::Running { started_at: started_at.unwrap(), requests };
+        let running = |requests| Standing::Running { started_at: started_at.unwrap(), requests };
         let ended = |outcome, merged_into, requests| {
-            Stage::Ended(Ended { outcome, started_at, finished_at, merged_into, requests })
+            Standing::Ended(Ended { outcome, started_at, finished_at, merged_into, requests })
         };
-        let waiting = |merged_into, started_at| Stage::Waiting { turn: 0, merged_into, started_at };
-        for (state, asked_for, rest, stage) in [
+        let waiting = |merged_into, started_at| Standing::Waiting { turn: 0, merged_into, started_at };
+        for (state, asked_for, rest, standing) in [
             ("queued", NO, ["null", "null", "null", "null"], waiting(None, None)),
             ("queued", NO, ["8", STARTED, "null", "null"], waiting(Some(8), started_at)),
             ("running", NO, ["null", STARTED, "null", "null"], running(asked(false, false))),
             ("running", PAUSE, ["null", STARTED, "null", "null"], running(asked(true, false))),
             ("running", CANCEL, ["null", STARTED, "null", "null"], running(asked(false, true))),
-            ("paused", PAUSE, ["null", "null", "null", "null"], Stage::Paused { started_at: None }),
-            ("paused", PAUSE, ["null", STARTED, "null", "null"], Stage::Paused { started_at }),
+            ("paused", PAUSE, ["null", "null", "null", "null"], Standing::Paused { started_at: None }),
+            ("paused", PAUSE, ["null", STARTED, "null", "null"], Standing::Paused { started_at }),
             (
                 "succeeded",
                 NO,
@@ -144,7 +144,7 @@ mod tests {
             let [merged_into, started, finished, error] = rest;
             let text = text([&format!(r#""state":"{state}",{asked_for}"#), merged_into, started, finished, error]);
             let job = read(&text);
-            assert_eq!(job.stage, stage, "{text}");
+            assert_eq!(job.standing, standing, "{text}");
             assert_eq!((job.state().as_str(), job.progress.version), (state, Some(4)));
             assert_eq!(serde_json::to_string(&Kept(job)).unwrap(), text);
         }
@@ -156,7 +156,7 @@ mod tests {
             read(&text([&format!(r#""state":"{state}",{asked_for}"#), "null", started, "null", "null"]))
         };
         // Paused while it waited, by a build that kept the request and not the state.
-        assert_eq!(of("queued", PAUSE, "null").stage, Stage::Paused { started_at: None });
+        assert_eq!(of("queued", PAUSE, "null").standing, Standing::Paused { started_at: None });
         // Asked to stop just as it made way: its cancel is not forgotten.
         assert!(of("queued", CANCEL, STARTED).requests().cancel);
         assert_eq!(of("running", NO, "null").state(), JobState::Queued);

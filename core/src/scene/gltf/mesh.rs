@@ -32,7 +32,7 @@ pub(super) struct LoadedMesh {
 #[derive(Debug)]
 pub(super) struct Meshes<'f> {
     file: &'f File<'f>,
-    /// Also what light does not need.
+    /// With what light does not need, as well.
     is_whole: bool,
     read: Vec<Option<Arc<LoadedMesh>>>,
     max_triangles: usize,

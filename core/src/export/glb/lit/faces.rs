@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use glam::{DMat3, DMat4, Vec2, Vec3, Vec4};
 
-use super::part::{Part, Vertex};
+use super::primitive::{Primitive, Vertex};
 use super::told::Told;
 use crate::atlas::{Atlas, Entry};
 use crate::scene::Object;
@@ -19,7 +19,7 @@ const APART: f32 = 1e-4;
 const WEIGHT_STEP: f64 = 1.0 / (1 << 20) as f64;
 
 /// Which triangles are one primitive: slot of the material, whether it has normals, whether it is the back.
-pub(super) type PartKey = (u32, bool, bool);
+pub(super) type PrimitiveKey = (u32, bool, bool);
 
 /// An object that is about to be written.
 pub(super) struct Drawn<'a> {
@@ -95,7 +95,14 @@ impl Drawn<'_> {
     }
 
     /// A triangle of a face, counter-clockwise as its front is seen, as it is written.
-    fn add(&self, parts: &mut BTreeMap<PartKey, Part>, face: &Face, is_back: bool, corners: [Vertex; 3], apart: f32) {
+    fn add(
+        &self,
+        parts: &mut BTreeMap<PrimitiveKey, Primitive>,
+        face: &Face,
+        is_back: bool,
+        corners: [Vertex; 3],
+        apart: f32,
+    ) {
         // Nobody sees the back of what has one side.
         if is_back && !self.item.materials.get(face.material as usize).is_some_and(|material| material.double_sided) {
             return;
@@ -121,7 +128,7 @@ impl Drawn<'_> {
     }
 
     /// Its own triangles with places on the pages of an atlas: the second set. The file's second set is the third.
-    pub(super) fn on_pages(&self, atlas: &Atlas, entry: &Entry) -> BTreeMap<PartKey, Part> {
+    pub(super) fn on_pages(&self, atlas: &Atlas, entry: &Entry) -> BTreeMap<PrimitiveKey, Primitive> {
         let (mut parts, pages, apart) = (BTreeMap::new(), atlas.pages(), self.apart());
         let places: Vec<[Vec2; 3]> = entry.texcoords().collect();
         let has_first = self.has_texcoords(0);
@@ -148,7 +155,12 @@ impl Drawn<'_> {
 
     /// The cells between its elements, whose `values` (per element, those of the back behind those of the front) are
     /// vertex colours.
-    pub(super) fn by_element(&self, world: &World, values: &[Vec3], is_shown: bool) -> BTreeMap<PartKey, Part> {
+    pub(super) fn by_element(
+        &self,
+        world: &World,
+        values: &[Vec3],
+        is_shown: bool,
+    ) -> BTreeMap<PrimitiveKey, Primitive> {
         let (mut parts, apart, surface) = (BTreeMap::new(), self.apart(), &self.placed.surface);
         let cells = self.placed.layout.of_cells(surface, |patch| Some(*patch));
         let object_from_world = self.item.world_from_object.inverse();
@@ -177,8 +189,8 @@ impl Drawn<'_> {
     }
 
     /// What of it lets all light through, by material of the file: triangles without light.
-    pub(super) fn clear(&self) -> BTreeMap<Option<usize>, Part> {
-        let mut parts: BTreeMap<Option<usize>, Part> = BTreeMap::new();
+    pub(super) fn clear(&self) -> BTreeMap<Option<usize>, Primitive> {
+        let mut parts: BTreeMap<Option<usize>, Primitive> = BTreeMap::new();
         for piece in self.told.iter().flat_map(|told| &told.pieces) {
             let Some(clear) = &piece.mesh.clear else { continue };
             let mesh = &*clear.mesh;

@@ -6,7 +6,7 @@ mod faces;
 mod house;
 mod material;
 mod page;
-mod part;
+mod primitive;
 mod stand;
 #[cfg(test)]
 mod tests;
@@ -19,9 +19,9 @@ use ::gltf::json::Value;
 use glam::{DMat3, DVec2, Vec3};
 
 use self::copied::{Copies, Sets, has_unread_texture, reads_second};
-use self::faces::{Drawn, PartKey};
+use self::faces::{Drawn, PrimitiveKey};
 use self::material::{Shown, Surface};
-use self::part::{Attributes, Part};
+use self::primitive::{Attributes, Primitive};
 use self::stand::Stand;
 pub use self::told::Originals;
 use self::told::Told;
@@ -245,7 +245,7 @@ impl<'a> Writer<'a> {
         Ok(Some(push(&mut self.document.meshes, mesh)))
     }
 
-    fn on_page(&mut self, drawn: &Drawn<'_>, key: PartKey, part: &Part, entry: &Entry) -> Option<Value> {
+    fn on_page(&mut self, drawn: &Drawn<'_>, key: PrimitiveKey, part: &Primitive, entry: &Entry) -> Option<Value> {
         let (_, _, is_back) = key;
         let rectangle = if is_back { entry.back.as_ref()? } else { &entry.front };
         let file = drawn.told.as_ref().map(|told| told.file);
@@ -281,8 +281,8 @@ impl<'a> Writer<'a> {
     fn material(
         &mut self,
         drawn: &Drawn<'_>,
-        (slot, _, _): PartKey,
-        part: &Part,
+        (slot, _, _): PrimitiveKey,
+        part: &Primitive,
         sets: Sets,
         shown: &Shown<'_>,
         is_apart: bool,

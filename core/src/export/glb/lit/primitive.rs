@@ -32,7 +32,7 @@ impl Vertex {
 
 /// A primitive while it is made.
 #[derive(Default)]
-pub(super) struct Part {
+pub(super) struct Primitive {
     ids: FastMap<[u32; 19], u32>,
     vertices: Vec<Vertex>,
     triangles: Vec<[u32; 3]>,
@@ -51,7 +51,7 @@ pub(super) struct Attributes {
     pub(super) has_light: bool,
 }
 
-impl Part {
+impl Primitive {
     pub(super) fn add(&mut self, corners: [Vertex; 3]) {
         let ids = corners.map(|vertex| {
             let vertices = &mut self.vertices;
