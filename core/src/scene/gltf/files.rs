@@ -36,7 +36,10 @@ pub(super) enum Named {
 
 /// The data that `uri` names, at most what is still allowed.
 pub(super) fn resolve(uri: &str, files: &Files<'_>, unpacked: &Allowance, place: &str) -> Result<Named, LoadError> {
-    if let Some(data) = uri.strip_prefix("data:") {
+    let uri = uri.trim_ascii();
+    if let Some((scheme, data)) = uri.split_at_checked("data:".len())
+        && scheme.eq_ignore_ascii_case("data:")
+    {
         return inline(data, unpacked, place).map(Named::Here);
     }
     let Some(path) = relative_path(uri) else { return Ok(Named::Missing) };
@@ -48,13 +51,27 @@ pub(super) fn resolve(uri: &str, files: &Files<'_>, unpacked: &Allowance, place:
     Ok(found.map_or(Named::Missing, Named::Here))
 }
 
-/// `[<media type>][;base64],<data>` (RFC 2397). Only base64 is read: nobody writes binary data otherwise.
+/// `[<media type>][;base64],<data>` (RFC 2397). As browsers read it: escaped, with spaces and line ends in it, without
+/// `=` at its end, in either alphabet of base64.
 fn inline(data: &str, unpacked: &Allowance, place: &str) -> Result<Vec<u8>, LoadError> {
-    let comma = data.find(',').filter(|&comma| data[..comma].ends_with(";base64"));
-    let Some(comma) = comma else { return Err(malformed(place, "its data: URI is not base64")) };
-    let text = data[comma + 1..].trim().trim_end_matches('=');
-    unpacked.take(text.len() / 4 * 3 + 3, place)?;
-    STANDARD_NO_PAD.decode(text).map_err(|error| malformed(place, &format!("its data: URI is not base64: {error}")))
+    let (kind, text) = data.split_once(',').ok_or_else(|| malformed(place, "its data: URI has no comma"))?;
+    let is_base64 = kind.rsplit(';').next().is_some_and(|last| last.trim().eq_ignore_ascii_case("base64"));
+    unpacked.take(if is_base64 { text.len() / 4 * 3 + 3 } else { text.len() }, place)?;
+    let mut bytes = unescaped(text);
+    if !is_base64 {
+        return Ok(bytes);
+    }
+    bytes.retain(|byte| !byte.is_ascii_whitespace());
+    for byte in &mut bytes {
+        *byte = match *byte {
+            b'-' => b'+',
+            b'_' => b'/',
+            byte => byte,
+        };
+    }
+    let end = bytes.iter().rposition(|&byte| byte != b'=').map_or(0, |last| last + 1);
+    let not_base64 = |error| malformed(place, &format!("its data: URI is not base64: {error}"));
+    STANDARD_NO_PAD.decode(&bytes[..end]).map_err(not_base64)
 }
 
 /// The path of a relative URI: unescaped, its dots resolved; none for anything else. Leading `..` stay.
@@ -69,11 +86,16 @@ fn relative_path(uri: &str) -> Option<String> {
 }
 
 fn unescape(path: &str) -> String {
-    let bytes = path.as_bytes();
+    String::from_utf8(unescaped(path)).unwrap_or_else(|_| path.to_owned())
+}
+
+/// The bytes of a text in which `%` and two digits stand for a byte; other `%` stand for themselves.
+fn unescaped(text: &str) -> Vec<u8> {
+    let bytes = text.as_bytes();
     let mut plain = Vec::with_capacity(bytes.len());
     let mut at = 0;
     while at < bytes.len() {
-        let digits = path.get(at + 1..at + 3).filter(|_| bytes[at] == b'%');
+        let digits = text.get(at + 1..at + 3).filter(|_| bytes[at] == b'%');
         match digits.and_then(|digits| u8::from_str_radix(digits, 16).ok()) {
             Some(byte) => {
                 plain.push(byte);
@@ -85,7 +107,7 @@ fn unescape(path: &str) -> String {
             }
         }
     }
-    String::from_utf8(plain).unwrap_or_else(|_| path.to_owned())
+    plain
 }
 
 fn without_dots(path: &str) -> String {
@@ -137,8 +159,8 @@ impl std::fmt::Debug for Archive<'_> {
 impl<'a> Archive<'a> {
     /// Opens an archive that holds one `.gltf` or `.glb` file.
     pub(super) fn open(bytes: &'a [u8]) -> Result<Self, LoadError> {
-        let entries = stated_entries(bytes);
-        if entries.is_none_or(|entries| entries > MAX_ENTRIES) {
+        let cut = || LoadError::Malformed("the zip archive is not whole: the list of its files is missing".into());
+        if stated_entries(bytes).ok_or_else(cut)? > MAX_ENTRIES {
             return Err(too_large("files in its archive", MAX_ENTRIES));
         }
         let zip = ZipArchive::new(Cursor::new(bytes))

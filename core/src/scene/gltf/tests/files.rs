@@ -54,6 +54,27 @@ fn data_is_found_within_the_document_and_beside_it() {
 }
 
 #[test]
+fn data_within_the_document_is_read_as_browsers_read_it() {
+    let code = STANDARD.encode(square_data());
+    let (at, lines) = (code.len() / 2, |text: &str| text.replace('A', "\\nA "));
+    let escaped = |text: &str| text.replace('+', "%2B").replace('/', "%2f").replace('=', "%3D");
+    let all: String = square_data().iter().map(|byte| format!("%{byte:02X}")).collect();
+    for uri in [
+        format!("data:;base64,{code}"),
+        format!("data:image/jpeg;charset=utf-8;base64,{code}"),
+        format!("DATA:Application/Octet-Stream;BASE64, {code}"),
+        format!(" data:application/gltf-buffer;base64,{}", lines(&code)),
+        format!("data:;base64,{}", escaped(&code)),
+        format!("data:;base64,{}", code.replace('+', "-").replace('/', "_").trim_end_matches('=')),
+        format!("data:;base64,{}\\r\\n{}", &code[..at], &code[at..]),
+        format!("data:application/octet-stream,{all}"),
+    ] {
+        let scene = load(with_uri(&uri).as_bytes()).unwrap_or_else(|error| panic!("{uri}: {error}"));
+        assert!(is_square(&scene), "{uri}");
+    }
+}
+
+#[test]
 fn what_is_missing_or_too_much_is_told() {
     let (data, beside) = (square_data(), with_uri("room.bin"));
     let bomb = vec![0; 1 << 20];
@@ -68,7 +89,9 @@ fn what_is_missing_or_too_much_is_told() {
         (archive(&[("room.txt", b"")]), "neither"),
         (archive(&[("a.gltf", beside.as_bytes()), ("b.gltf", beside.as_bytes())]), "several"),
         (with_uri("data:application/octet-stream;base64,####").into_bytes(), "base64"),
-        (with_uri("data:text/plain,hello").into_bytes(), "base64"),
+        (with_uri("data:text/plain,hello").into_bytes(), "states 128 bytes, but there are 5"),
+        (with_uri("data:application/octet-stream;base64").into_bytes(), "comma"),
+        (b"PK\x03\x04 and no more".to_vec(), "not whole"),
     ];
     for (bytes, words) in cases {
         let error = load(&bytes);
