@@ -36,8 +36,19 @@ pub(super) fn read_floats<const N: usize>(
     most: Most,
     place: &str,
 ) -> Result<Vec<[f32; N]>, LoadError> {
+    let (accessor, _) = expect(file, index, shape_of(N), place)?;
+    read_numbers(file, index, accessor.normalized, most, place)
+}
+
+fn read_numbers<const N: usize>(
+    file: &File<'_>,
+    index: Index<Accessor>,
+    are_fractions: bool,
+    most: Most,
+    place: &str,
+) -> Result<Vec<[f32; N]>, LoadError> {
     let (accessor, component) = expect(file, index, shape_of(N), place)?;
-    let read = float_reader(component, accessor.normalized);
+    let read = float_reader(component, are_fractions);
     let read = read.ok_or_else(|| malformed(place, "has 32-bit integers for fractions"))?;
     read_all::<f32, N>(file, accessor, component, most, place, read)
 }
@@ -60,7 +71,8 @@ pub(super) fn read_vec3(
     read_floats(file, index, most, place)
 }
 
-/// Colours: RGB or RGBA, `f32` or normalised integers; alpha is 1 where there is none. All finite.
+/// Colours: RGB or RGBA, `f32` or integers, which stand for fractions also where the file does not say so; alpha is 1
+/// where there is none. All finite.
 pub(super) fn read_colors(
     file: &File<'_>,
     index: Index<Accessor>,
@@ -69,9 +81,9 @@ pub(super) fn read_colors(
 ) -> Result<Vec<[f32; 4]>, LoadError> {
     let accessor = file.root.get(index).ok_or_else(|| malformed(place, "its accessor does not exist"))?;
     let colors = if accessor.type_ == Checked::Valid(Type::Vec4) {
-        read_floats::<4>(file, index, most, place)?
+        read_numbers::<4>(file, index, true, most, place)?
     } else {
-        let colors = read_floats::<3>(file, index, most, place)?;
+        let colors = read_numbers::<3>(file, index, true, most, place)?;
         colors.into_iter().map(|[r, g, b]| [r, g, b, 1.0]).collect()
     };
     require_finite(&colors, place)?;
@@ -214,7 +226,8 @@ fn layout<'f>(
     let bytes = view_bytes(file, view_index, place)?;
     let view = file.root.get(view_index).ok_or_else(|| malformed(place, "its buffer view does not exist"))?;
     let size = component.size() * components;
-    let stride = view.byte_stride.map_or(size, |stride| stride.0);
+    // Written by some for values side by side.
+    let stride = view.byte_stride.map(|stride| stride.0).filter(|stride| *stride > 0).unwrap_or(size);
     if stride < size {
         return Err(malformed(place, &format!("a stride of {stride} bytes is less than the {size} of a value")));
     }

@@ -52,7 +52,7 @@ impl Attributes<'_> {
         self.checked(normals, count, "normals").map(Some)
     }
 
-    /// Finite texture coordinates of a set.
+    /// Texture coordinates of a set, perhaps not finite.
     pub(super) fn texcoords(&self, set: u32, count: usize) -> Result<Option<Vec<[f32; 2]>>, LoadError> {
         let name = format!("TEXCOORD_{set}");
         let place = format!("{}, {name}", self.place);
@@ -61,8 +61,17 @@ impl Attributes<'_> {
             Some(draco) => self.scaled(Semantic::TexCoords(set), &name, draco.floats(&name, &place)?),
             None => read_floats::<2>(self.file, index, self.max_vertices, &place)?,
         };
-        require_finite(&values, &place)?;
         self.checked(values, count, "texture coordinates").map(Some)
+    }
+
+    /// Whether colours are integers that the file does not call fractions, as it ought to: they are all the same.
+    pub(super) fn has_plain_integer_colors(&self) -> bool {
+        let accessor = self.accessor(Semantic::Colors(0)).and_then(|index| self.file.root.get(index));
+        accessor.is_some_and(|accessor| {
+            let is_float =
+                matches!(accessor.component_type, Checked::Valid(component) if component.0 == ComponentType::F32);
+            !accessor.normalized && !is_float
+        })
     }
 
     /// Finite colours of set 0, linear RGBA.
@@ -127,8 +136,9 @@ impl Attributes<'_> {
 
     /// Integers that the accessor calls normalised become fractions.
     fn scaled<const N: usize>(&self, semantic: Semantic, name: &str, mut values: Vec<[f32; N]>) -> Vec<[f32; N]> {
-        let accessor = self.accessor(semantic).and_then(|index| self.file.root.get(index));
-        let component = match accessor.filter(|accessor| accessor.normalized && self.compressed(name).is_some()) {
+        let accessor = self.accessor(semantic.clone()).and_then(|index| self.file.root.get(index));
+        let is_fraction = |accessor: &json::Accessor| accessor.normalized || semantic == Semantic::Colors(0);
+        let component = match accessor.filter(|accessor| is_fraction(accessor) && self.compressed(name).is_some()) {
             Some(json::Accessor { component_type: Checked::Valid(component), .. }) => component.0,
             _ => return values,
         };

@@ -41,6 +41,10 @@ pub(super) fn collect(
     for node in nodes.iter().filter(|node| !node.is_hidden) {
         let Some((index, light)) = punctual_of(root, node)? else { continue };
         let place = format!("light {index} \"{}\"", node.name);
+        if !matches!(light.type_, Checked::Valid(Type::Point)) && direction_of(node).is_none() {
+            warnings.add("lights whose node has a scale of zero shine in no direction: they are left out", place);
+            continue;
+        }
         let name = names.claim(&node.name);
         if name != node.name {
             warnings.add("lights of the same name were renamed", format!("\"{}\" to \"{name}\"", node.name));
@@ -109,31 +113,33 @@ fn read_punctual(
         warnings.add("ranges of lights that are not above 0 are taken as none", place);
     }
     let position = node.world_from_node.transform_point3(DVec3::ZERO);
+    let direction =
+        |node| direction_of(node).ok_or_else(|| malformed(place, "its node has a scale of zero: no direction"));
     let kind = match light.type_ {
         Checked::Invalid => return Err(malformed(place, "its type is unknown")),
         Checked::Valid(Type::Point) => LightKind::Point { position, range },
-        Checked::Valid(Type::Directional) => {
-            LightKind::Directional { direction: direction_of(node, place)?, angle: 0.0 }
-        }
+        Checked::Valid(Type::Directional) => LightKind::Directional { direction: direction(node)?, angle: 0.0 },
         Checked::Valid(Type::Spot) => {
             let (inner_cone_angle, outer_cone_angle) = cone(light, place, warnings)?;
-            let direction = direction_of(node, place)?;
+            let direction = direction(node)?;
             LightKind::Spot { position, direction, inner_cone_angle, outer_cone_angle, range }
         }
     };
     Ok(Light { name, kind, color, intensity })
 }
 
-/// The −z axis of the node.
-fn direction_of(node: &PlacedNode, place: &str) -> Result<Vec3, LoadError> {
-    let direction = node.world_from_node.transform_vector3(DVec3::NEG_Z).try_normalize();
-    direction.map(|d| d.as_vec3()).ok_or_else(|| malformed(place, "its node has a scale of zero: no direction"))
+/// The −z axis of the node; none where its scale is zero.
+fn direction_of(node: &PlacedNode) -> Option<Vec3> {
+    node.world_from_node.transform_vector3(DVec3::NEG_Z).try_normalize().map(|direction| direction.as_vec3())
 }
 
 /// Inner and outer angle, 0 <= inner <= outer <= pi/2; an edge between equal ones is hard.
 fn cone(light: &JsonLight, place: &str, warnings: &mut Warnings) -> Result<(f32, f32), LoadError> {
-    let spot = light.spot.as_ref().ok_or_else(|| malformed(place, "a spot light without its cone"))?;
-    let (inner, outer) = (spot.inner_cone_angle, spot.outer_cone_angle);
+    if light.spot.is_none() {
+        warnings.add("spot lights without a cone have that of the specification, 45 degrees to each side", place);
+    }
+    let default = (0.0, std::f32::consts::FRAC_PI_4);
+    let (inner, outer) = light.spot.as_ref().map_or(default, |spot| (spot.inner_cone_angle, spot.outer_cone_angle));
     if !(inner.is_finite() && outer.is_finite() && outer > 0.0) {
         return Err(malformed(
             place,

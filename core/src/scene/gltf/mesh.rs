@@ -162,7 +162,10 @@ impl<'f> Meshes<'f> {
         if let Some(bad) = indices.iter().find(|&&index| index as usize >= count) {
             return Err(malformed(place.name, &format!("index {bad} is out of range, there are {count} vertices")));
         }
-        let corners = triangle_corners(mode, &indices, place.name)?;
+        let (corners, is_whole) = triangle_corners(mode, &indices);
+        if !is_whole {
+            warnings.add("vertices that make no whole triangle are left out", place.name);
+        }
         if draft.mesh.triangles.len() + corners.len() > self.max_triangles {
             return Err(too_large("triangles", self.max_triangles));
         }
@@ -211,8 +214,15 @@ impl<'f> Meshes<'f> {
                 false if self.is_whole => attributes.texcoords(0, count).unwrap_or(None),
                 false => None,
             };
-            let values = values.map(|values| values.into_iter().map(Vec2::from_array));
+            if values.iter().flatten().flatten().any(|part| !part.is_finite()) {
+                warnings.add("texture coordinates that are not finite count as 0", attributes.place);
+            }
+            let finite = |uv: [f32; 2]| Some(Vec2::from_array(uv)).filter(|uv| uv.is_finite()).unwrap_or_default();
+            let values = values.map(|values| values.into_iter().map(finite));
             append(&mut draft.mesh.texcoords[set], first, values, Vec2::ZERO);
+        }
+        if attributes.has_plain_integer_colors() {
+            warnings.add("vertex colours of integers count as fractions, normalized or not", attributes.place);
         }
         let colors = attributes.colors(count)?.map(|colors| colors.into_iter().map(Vec4::from_array));
         append(&mut draft.mesh.colors, first, colors, Vec4::ONE);
@@ -290,19 +300,17 @@ impl Draft {
     }
 }
 
-fn triangle_corners(mode: Mode, indices: &[u32], place: &str) -> Result<Vec<[u32; 3]>, LoadError> {
-    let count = indices.len();
-    let is_list = mode == Mode::Triangles;
-    if count < 3 || (is_list && !count.is_multiple_of(3)) {
-        return Err(malformed(place, &format!("{count} vertices do not make whole triangles")));
-    }
-    Ok(match mode {
+/// The triangles of a primitive, and whether its indices make whole ones.
+fn triangle_corners(mode: Mode, indices: &[u32]) -> (Vec<[u32; 3]>, bool) {
+    let after_two = 0..indices.len().saturating_sub(2);
+    let corners = match mode {
         Mode::TriangleStrip => {
-            (0..count - 2).map(|i| [indices[i], indices[i + 1 + i % 2], indices[i + 2 - i % 2]]).collect()
+            after_two.map(|i| [indices[i], indices[i + 1 + i % 2], indices[i + 2 - i % 2]]).collect()
         }
-        Mode::TriangleFan => (0..count - 2).map(|i| [indices[i + 1], indices[i + 2], indices[0]]).collect(),
+        Mode::TriangleFan => after_two.map(|i| [indices[i + 1], indices[i + 2], indices[0]]).collect(),
         _ => indices.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect(),
-    })
+    };
+    (corners, indices.len() >= 3 && (mode != Mode::Triangles || indices.len().is_multiple_of(3)))
 }
 
 /// No area, or so flat that its normal would be noise.

@@ -7,6 +7,7 @@
 mod accessor;
 mod attributes;
 mod container;
+mod departures;
 mod document;
 mod draco;
 mod extensions;
@@ -176,6 +177,7 @@ fn load_document(bytes: &[u8], files: &Files<'_>, limits: &LoadLimits) -> Result
     let file = container::open(bytes, files, limits)?;
     let mut warnings = Warnings::default();
     extensions::check(&file, &mut warnings)?;
+    departures::remark(&file.root, &mut warnings);
     let nodes = nodes::place(&file, limits, &mut warnings)?;
     let (objects, degenerate_triangles) = read_objects(&file, &nodes, limits, &mut warnings)?;
     let bounds = world_bounds(&objects)?;

@@ -1,7 +1,7 @@
 //! The node hierarchy: which nodes are in the scene, where they stand, what they are called.
 
 use ::gltf::json;
-use glam::{DMat4, DQuat, DVec3};
+use glam::{DMat4, DQuat, DVec3, DVec4};
 
 use super::container::File;
 use super::warnings::Warnings;
@@ -33,6 +33,8 @@ struct Waiting {
     is_hidden: bool,
 }
 
+/// How far the last row of a matrix may be off.
+const ROUNDING: f64 = 1e-5;
 /// Longest `extras.id` that is kept, bytes.
 const LONGEST_ID: usize = 256;
 
@@ -160,10 +162,14 @@ fn local_transform(node: &json::Node, here: &dyn Fn() -> String) -> Result<DMat4
         if !matrix.is_finite() {
             return Err(malformed(&here(), "its matrix has a number that is not finite"));
         }
-        if matrix.row(3) != DMat4::IDENTITY.row(3) {
+        // Products of matrices, as exporters write them, have it but for rounding.
+        let last = matrix.row(3);
+        if (last - DVec4::W).abs().max_element() > ROUNDING {
             return Err(malformed(&here(), "the last row of its matrix is not 0 0 0 1"));
         }
-        return Ok(matrix);
+        let affine = |column: DVec4, end: f64| column.truncate().extend(end);
+        let [x, y, z, w] = [matrix.x_axis, matrix.y_axis, matrix.z_axis, matrix.w_axis];
+        return Ok(DMat4::from_cols(affine(x, 0.0), affine(y, 0.0), affine(z, 0.0), affine(w, 1.0)));
     }
     let vector = |values: Option<[f32; 3]>, default| values.map_or(default, |v| DVec3::from_array(v.map(f64::from)));
     let translation = vector(node.translation, DVec3::ZERO);

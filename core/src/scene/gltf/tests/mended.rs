@@ -36,6 +36,12 @@ const MENDED: &[(&str, &str, &str)] = &[
         "\"alphaMode\": \"BLEND\", \"pbrMetallicRoughness\": {\"baseColorFactor\": [1, 1, 1, 0]}",
         "no triangle",
     ),
+    ("\"count\": 6", "\"count\": 5", "no whole triangle"),
+    ("\"count\": 6", "\"count\": 2", "no whole triangle"),
+    ("\"NORMAL\": 1}", "\"NORMAL\": 1, \"UV2\": 1}", "attributes that are not known"),
+    (", \"spot\": {\"innerConeAngle\": 0.25, \"outerConeAngle\": 0.5}", "", "without a cone"),
+    ("\"rotation\": [0.7071068, 0, 0, 0.7071068]", "\"scale\": [0, 0, 0]", "no direction"),
+    ("\"byteOffset\": 0, \"byteLength\": 48", "\"byteOffset\": 0, \"byteLength\": 48, \"byteStride\": 0", "byteStride"),
     ("\"mode\": 4", "\"mode\": 1", "points and lines"),
     ("\"mode\": 4", "\"mode\": 1", "no triangle"),
     ("\"scale\": [2, 2, 2]", "\"scale\": [0, 0, 0]", "scale of zero"),
@@ -99,6 +105,46 @@ fn normals_that_are_no_numbers_count_as_absent() {
     let scene = load(&glb(SQUARE, &bin)).unwrap();
     assert_eq!(scene.objects[0].mesh.normals[1], Vec3::ZERO);
     assert!(scene.warnings.iter().any(|text| text.contains("normals")), "{:?}", scene.warnings);
+}
+
+#[test]
+fn what_is_almost_right_is_read_as_it_was_meant() {
+    // Numbers of vertices that make no whole triangle.
+    let five = mended(&[("\"count\": 6", "\"count\": 5")]);
+    assert_eq!(five.objects[0].mesh.triangles, [[0, 1, 2]]);
+    // A stride of 0 is the size of a value; a last row is 0 0 0 1 but for rounding.
+    let stride = ("\"byteOffset\": 0, \"byteLength\": 48", "\"byteOffset\": 0, \"byteLength\": 48, \"byteStride\": 0");
+    let matrix = "\"matrix\": [2,0,0,1e-8, 0,2,0,0, 0,0,2,0, 1,2,3,1.0000001]";
+    let square = mended(&[stride, ("\"translation\": [1, 2, 3], \"scale\": [2, 2, 2]", matrix)]);
+    assert_eq!(square.objects[0].mesh.triangles.len(), 2);
+    assert_eq!(square.objects[0].world_from_object, mended(&[]).objects[0].world_from_object);
+    // What shines in no direction is left out, and no name is lost by it.
+    let flat = mended(&[("\"rotation\": [0.7071068, 0, 0, 0.7071068]", "\"scale\": [0, 0, 0]")]);
+    assert_eq!(flat.lights.len(), 1);
+    let cone = mended(&[(", \"spot\": {\"innerConeAngle\": 0.25, \"outerConeAngle\": 0.5}", "")]);
+    let LightKind::Spot { inner_cone_angle, outer_cone_angle, .. } = cone.lights[1].kind else { panic!() };
+    assert_eq!((inner_cone_angle, outer_cone_angle), (0.0, std::f32::consts::FRAC_PI_4));
+}
+
+/// Eight bits of 51 are a fifth, whether the file says so or not.
+#[test]
+fn integer_colours_are_fractions() {
+    let mut bin = square_data();
+    bin.extend([51, 102, 255, 255].repeat(4));
+    let colors = "\"type\": \"SCALAR\"}, {\"bufferView\": 5, \"componentType\": 5121, \"count\": 4, \"type\": \"VEC4\"";
+    for (normalized, is_mended) in [("}", true), (", \"normalized\": true}", false)] {
+        let json = SQUARE
+            .replace("\"NORMAL\": 1}", "\"NORMAL\": 1, \"COLOR_0\": 3}")
+            .replace("\"type\": \"SCALAR\"}", &format!("{colors}{normalized}"))
+            .replace(
+                "\"byteLength\": 16}",
+                "\"byteLength\": 16}, {\"buffer\": 0, \"byteOffset\": 128, \"byteLength\": 16}",
+            )
+            .replace("[{\"byteLength\": 128}]", "[{\"byteLength\": 144}]");
+        let scene = load(&glb(&json, &bin)).unwrap();
+        assert_eq!(scene.objects[0].mesh.colors, [glam::Vec4::new(0.2, 0.4, 1.0, 1.0); 4]);
+        assert_eq!(scene.warnings.iter().any(|text| text.contains("integers")), is_mended, "{:?}", scene.warnings);
+    }
 }
 
 /// Three walls for one node: at the square's first three corners, in the node's space.

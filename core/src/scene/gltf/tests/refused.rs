@@ -20,7 +20,6 @@ const MALFORMED: &[(&str, &str, &str)] = &[
     ("\"byteOffset\": 48", "\"byteOffset\": 18446744073709551615", "buffer view 1"),
     ("\"buffer\": 0, \"byteOffset\": 0", "\"buffer\": 5, \"byteOffset\": 0", "buffer"),
     ("\"byteOffset\": 0, \"byteLength\": 48", "\"byteOffset\": 0, \"byteLength\": 48, \"byteStride\": 8", "stride"),
-    ("\"byteOffset\": 0, \"byteLength\": 48", "\"byteOffset\": 0, \"byteLength\": 48, \"byteStride\": 0", "byteStride"),
     ("\"byteOffset\": 0, \"byteLength\": 48", "\"byteOffset\": 0, \"byteLength\": 48, \"byteStride\": 14", "aligned"),
     (
         "\"byteOffset\": 0, \"byteLength\": 48",
@@ -31,7 +30,6 @@ const MALFORMED: &[(&str, &str, &str)] = &[
     // Accessors.
     ("\"count\": 6", "\"count\": 7", "reach to byte 14"),
     ("\"count\": 6", "\"count\": 0", "no values"),
-    ("\"count\": 6", "\"count\": 5", "5 vertices do not make whole triangles"),
     (
         "\"bufferView\": 1, \"componentType\": 5126, \"count\": 4",
         "\"bufferView\": 1, \"componentType\": 5126, \"count\": 3",
@@ -81,7 +79,6 @@ const MALFORMED: &[(&str, &str, &str)] = &[
     ("\"POSITION\": 0", "\"POSITION\": 99", "POSITION is accessor 99, there are 3"),
     ("\"POSITION\": 0, ", "", "POSITION"),
     ("\"NORMAL\": 1", "\"NORMAL\": 99", "NORMAL"),
-    ("\"NORMAL\": 1", "\"NORMALS\": 1", "invalid semantic"),
     ("\"indices\": 2", "\"indices\": 3", "indices"),
     ("\"material\": 0", "\"material\": 1", "material"),
     ("\"mode\": 4", "\"mode\": 9", "mode"),
@@ -110,9 +107,7 @@ const MALFORMED: &[(&str, &str, &str)] = &[
     ("\"intensity\": 40", "\"intensity\": 1e39", "intensity"),
     ("\"outerConeAngle\": 0.5", "\"outerConeAngle\": -1", "cone angles"),
     ("\"type\": \"spot\"", "\"type\": \"laser\"", "type"),
-    (", \"spot\": {\"innerConeAngle\": 0.25, \"outerConeAngle\": 0.5}", "", "spot"),
     ("{\"light\": 0}", "{\"light\": 1}", "light"),
-    ("\"rotation\": [0.7071068, 0, 0, 0.7071068]", "\"scale\": [0, 0, 0]", "no direction"),
     ("\"yfov\": 0.75", "\"yfov\": 4", "yfov"),
     ("\"camera\": 0", "\"camera\": 3", "camera"),
 ];

@@ -174,6 +174,16 @@ fn textures_without_a_place_count_with_their_mean() {
 }
 
 #[test]
+fn texture_coordinates_that_are_no_numbers_count_as_zero() {
+    let mut file = textured(&encoded(ImageFormat::Png), &[]);
+    let start = file.windows(4).position(|four| four == b"BIN\0").unwrap() + 4 + 128;
+    file[start + 8..start + 12].copy_from_slice(&f32::NAN.to_le_bytes());
+    let scene = load(&file).unwrap();
+    assert_eq!(scene.objects[0].mesh.texcoords[0], [Vec2::ZERO, Vec2::ZERO, Vec2::ONE, Vec2::Y]);
+    assert!(scene.warnings.iter().any(|text| text.contains("coordinates")), "{:?}", scene.warnings);
+}
+
+#[test]
 fn what_is_kept_of_textures_is_bounded() {
     let size = |max_kept_texels| {
         let limits = LoadLimits { max_kept_texels, ..LoadLimits::default() };
