@@ -140,6 +140,7 @@ fn accepted_before(max_albedo: Option<f32>) -> LoadLimits {
     LoadLimits {
         max_bytes: usize::MAX,
         max_read_bytes: usize::MAX,
+        max_zero_bytes: usize::MAX,
         max_triangles: usize::MAX,
         max_albedo: max_albedo.unwrap_or(default.max_albedo),
         ..default

@@ -200,7 +200,11 @@ fn read_all<T: Copy + Default, const N: usize>(
         Ok(count) if count <= most.count => count,
         _ => return Err(too_large(most.of.0, most.of.1)),
     };
-    file.read.take(count.saturating_mul(size_of::<[T; N]>()), place)?;
+    let bytes = count.saturating_mul(size_of::<[T; N]>());
+    file.read.take(bytes, place)?;
+    if accessor.buffer_view.is_none() {
+        file.zeros.take(bytes, place)?;
+    }
     let offset = accessor.byte_offset.unwrap_or_default().0;
     let layout = match accessor.buffer_view {
         Some(view) => layout(file, view, offset, count, component, N, place)?,

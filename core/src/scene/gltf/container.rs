@@ -37,6 +37,8 @@ pub(super) struct File<'a> {
     pub(super) unpacked: Allowance,
     /// What may still be read of accessors and compressed meshes.
     pub(super) read: Allowance,
+    /// What of it may still be zeros that the file does not hold.
+    pub(super) zeros: Allowance,
 }
 
 /// Bytes that may still be spent on the file as a whole.
@@ -59,6 +61,16 @@ impl Allowance {
     fn of_read(limits: &LoadLimits) -> Self {
         let limit = limits.max_read_bytes;
         Self { left: Cell::new(limit), limit, what: "counted as often as they are used, its accessors have" }
+    }
+
+    /// Of values that the file does not hold.
+    fn of_zeros(limits: &LoadLimits) -> Self {
+        let limit = limits.max_zero_bytes;
+        Self {
+            left: Cell::new(limit),
+            limit,
+            what: "in accessors without a bufferView, whose values are zeros, it has",
+        }
     }
 
     /// What is left.
@@ -92,9 +104,10 @@ pub(super) fn open<'a>(bytes: &'a [u8], files: &'a Files<'a>, limits: &LoadLimit
     }
     check_indices(&root)?;
     let (unpacked, read) = (Allowance::of_unpacked(limits), Allowance::of_read(limits));
+    let zeros = Allowance::of_zeros(limits);
     let buffers = buffers(&root, &more, bin, files, &unpacked)?;
     let decompressed = root.buffer_views.iter().map(|_| OnceCell::new()).collect();
-    Ok(File { root, more, has_animations, buffers, decompressed, files, unpacked, read })
+    Ok(File { root, more, has_animations, buffers, decompressed, files, unpacked, read, zeros })
 }
 
 /// The JSON of a file, without a byte order mark.

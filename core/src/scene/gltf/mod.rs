@@ -53,6 +53,8 @@ pub struct LoadLimits {
     /// Bytes of all values that are read, of accessors and of compressed meshes: an accessor that is used twice counts
     /// twice, and so bounds the time as well. In memory at a time are those of one mesh.
     pub max_read_bytes: usize,
+    /// Of these the bytes of values that the file does not hold: accessors without a buffer view are zeros.
+    pub max_zero_bytes: usize,
     /// Nodes, used or not. The other lists and the JSON as a whole are bounded in proportion.
     pub max_nodes: usize,
     /// Materials, and any other list of the document that is not named here.
@@ -84,6 +86,7 @@ impl Default for LoadLimits {
             max_bytes: 1 << 30,
             max_unpacked_bytes: 2 << 30,
             max_read_bytes: 4_000_000_000,
+            max_zero_bytes: 1 << 27,
             max_nodes: 1_000_000,
             max_materials: 100_000,
             max_depth: 256,

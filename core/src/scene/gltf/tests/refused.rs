@@ -1,5 +1,7 @@
 //! A table of files that break the specification, the limits or what is supported, with the words of the answer.
 
+use glam::Vec3;
+
 use super::*;
 
 /// What is replaced in the document, and words that the answer must have.
@@ -237,6 +239,28 @@ fn values_are_counted_as_often_as_they_are_read() {
         assert!(
             matches!(&refused, Err(LoadError::TooLarge(text)) if text.contains("accessors")),
             "{bytes}: {refused:?}"
+        );
+    }
+}
+
+/// A few bytes of a file are gigabytes of zeros: only so many are made.
+#[test]
+fn zeros_that_the_file_does_not_hold_are_bounded() {
+    let positions = "{\"bufferView\": 0, \"componentType\": 5126, \"count\": 4,";
+    let sparse = "{\"componentType\": 5126, \"count\": 4, \"sparse\": {\"count\": 1, \"indices\": {\"bufferView\": 4, \
+        \"componentType\": 5125}, \"values\": {\"bufferView\": 4, \"byteOffset\": 4}},";
+    let scene = load(&edited(&[(positions, sparse)])).unwrap();
+    assert_eq!(scene.objects[0].mesh.positions, [Vec3::ZERO, Vec3::ZERO, Vec3::new(3.0, 3.0, 0.0), Vec3::ZERO]);
+    let with = |max_zero_bytes, from: &str, to: &str| {
+        let limits = LoadLimits { max_zero_bytes, ..LoadLimits::default() };
+        super::super::load(&edited(&[(from, to)]), &limits).map(|_| ())
+    };
+    assert!(with(48, positions, sparse).is_ok());
+    let many = "{\"componentType\": 5126, \"count\": 50000000,";
+    for refused in [with(47, positions, sparse), with(LoadLimits::default().max_zero_bytes, positions, many)] {
+        assert!(
+            matches!(&refused, Err(LoadError::TooLarge(text)) if text.contains("POSITION: in accessors without")),
+            "{refused:?}"
         );
     }
 }

@@ -204,10 +204,17 @@ fn broken_and_large_textures_are_refused() {
     assert!(matches!(load(&png, small), Err(LoadError::TooLarge(_))));
     let few = LoadLimits { max_total_texture_pixels: 127, ..limits };
     assert!(matches!(load(&png, few), Err(LoadError::TooLarge(_))));
-    // A header of 65,535 x 65,535 pixels: refused before memory is spent.
+    // Headers of billions of pixels: refused before memory is spent.
     let mut huge = png;
-    huge[16..24].copy_from_slice(&[0, 0, 255, 255, 0, 0, 255, 255]);
-    assert!(load(&huge, LoadLimits::default()).is_err());
+    for side in [60_000_u32, 65_535] {
+        huge[16..20].copy_from_slice(&side.to_be_bytes());
+        huge[20..24].copy_from_slice(&side.to_be_bytes());
+        let checked = crc32fast::hash(&huge[12..29]);
+        huge[29..33].copy_from_slice(&checked.to_be_bytes());
+        let refused = load(&huge, LoadLimits::default());
+        let words = format!("image 0: has {side} x {side} pixels");
+        assert!(matches!(&refused, Err(LoadError::TooLarge(text)) if text.contains(&words)), "{refused:?}");
+    }
 }
 
 #[test]
