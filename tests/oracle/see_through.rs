@@ -122,6 +122,53 @@ fn direct_light_is_scaled_by_what_goes_through() {
     }
 }
 
+/// The red of one picture is the share that goes through, the green of another the depth of the volume: exactly, by
+/// place, each by texture coordinates of its own.
+#[test]
+fn glass_lets_light_through_by_its_pictures() {
+    // Of 2 × 1 texels.
+    let picture = |left: [u8; 4], right: [u8; 4], set: usize| {
+        let texture = Texture::of_numbers(2, 1, &[left, right].concat(), 1 << 20);
+        Some(TextureUse { texcoord: set, wrap: [Wrap::Clamp; 2], ..plainly(Arc::new(texture)) })
+    };
+    let tint = Vec3::new(0.2, 0.5, 1.0);
+    let absorption = Vec3::new(1.0, 4.0, 0.0);
+    let shares = picture([0, 255, 255, 255], [51, 0, 0, 0], 1);
+    let depths = picture([255, 51, 0, 255], [0, 255, 0, 0], 0);
+    let deep = Look { absorption, thickness: 0.25, ..glass(tint, 0.5) };
+    let volume = |depth: f32| (-absorption * 0.25 * depth).exp();
+    let cases = [
+        ("shares", Look { transmission_texture: shares.clone(), ..glass(tint, 0.5) }, [Vec3::ZERO, 0.1 * tint]),
+        (
+            "depths",
+            Look { thickness_texture: depths.clone(), ..deep.clone() },
+            [0.2, 1.0].map(|d| 0.5 * tint * volume(d)),
+        ),
+        (
+            "shares and depths",
+            Look { transmission_texture: shares, thickness_texture: depths, ..deep },
+            [Vec3::ZERO, 0.1 * tint * volume(1.0)],
+        ),
+    ];
+    for (name, look, [left, right]) in cases {
+        let mut mesh = sheet(1.0, 1.0);
+        mesh.texcoords[1] = mesh.texcoords[0].clone();
+        let world = lit(vec![floor(), of_look("pane", mesh, look)], [sun()], 0.05);
+        let map = bake(&world, &budget(8), 1, &Unobserved).expect("nobody cancels");
+        let slots: Vec<u32> = slots_of(&world, "floor").map(|slot| slot as u32).collect();
+        let traced = path_trace(&world, &slots, 16, 1, &Unobserved).expect("nobody cancels").0;
+        for (slot, traced) in slots_of(&world, "floor").zip(traced) {
+            let x = world.positions()[slot].x;
+            if x.abs() > 0.01 {
+                let expected = if x < 0.0 { left } else { right };
+                for found in [map.light.direct[slot], traced.direct] {
+                    assert!((found - expected).abs().max_element() < 1e-5, "{name} at {x}: {found}, {expected}");
+                }
+            }
+        }
+    }
+}
+
 /// Shadows of a cut-out are those of its texels, whatever the texture's place.
 #[test]
 fn cut_outs_are_exact_to_the_texel() {

@@ -25,12 +25,16 @@ pub struct Look {
     /// Emissive texture.
     pub emissive: Option<TextureUse>,
     /// Share of the light that is not reflected at the surface and goes through it (`KHR_materials_transmission`),
-    /// 0..=1.
+    /// 0..=1 …
     pub transmission: f32,
+    /// … times the red of this.
+    pub transmission_texture: Option<TextureUse>,
     /// What the volume below takes of that light, per metre, linear RGB, each 0 or more (`KHR_materials_volume`) …
     pub absorption: Vec3,
-    /// … over this length, in the mesh's space; 0: a thin sheet without a volume.
+    /// … over this length, in the mesh's space; 0: a thin sheet without a volume …
     pub thickness: f32,
+    /// … times the green of this.
+    pub thickness_texture: Option<TextureUse>,
 }
 
 /// What the alpha of a material means.
@@ -42,6 +46,15 @@ pub enum AlphaMode {
     Mask(f32),
     /// A surface lets 1 − alpha of the light through.
     Blend,
+}
+
+/// How a place lets light through that is not reflected at the surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Through {
+    /// Share of that light, 0..=1.
+    pub share: f32,
+    /// What the volume behind leaves of it, linear RGB, each 0..=1.
+    pub volume: Vec3,
 }
 
 /// What happens to light that meets a surface at a place.
@@ -72,9 +85,22 @@ impl Look {
             emission: Vec3::ZERO,
             emissive: None,
             transmission: 0.0,
+            transmission_texture: None,
             absorption: Vec3::ZERO,
             thickness: 0.0,
+            thickness_texture: None,
         }
+    }
+
+    /// All textures.
+    pub(crate) fn textures(&self) -> impl Iterator<Item = &TextureUse> {
+        [&self.base_color, &self.emissive, &self.transmission_texture, &self.thickness_texture].into_iter().flatten()
+    }
+
+    /// All textures.
+    pub(crate) fn textures_mut(&mut self) -> impl Iterator<Item = &mut TextureUse> {
+        let glass = [&mut self.transmission_texture, &mut self.thickness_texture];
+        [&mut self.base_color, &mut self.emissive].into_iter().chain(glass).flatten()
     }
 
     /// Whether it says more than one albedo and one emission do.
@@ -96,16 +122,15 @@ impl Look {
             AlphaMode::Mask(cutoff) => self.alpha < cutoff,
             AlphaMode::Blend => self.alpha == 0.0,
         };
-        is_gone || self.transmission >= 1.0 && is_white && is_thin
+        is_gone || self.transmission >= 1.0 && self.transmission_texture.is_none() && is_white && is_thin
     }
 
-    /// Whether no light goes through a triangle of the picture (texture coordinates of the mesh) with these alphas of
+    /// Whether no light goes through a triangle, given by the mesh's texture coordinates of each set, with these alphas of
     /// the mesh's colour at its corners. Holes that are a millionth of it may be overlooked.
-    pub(crate) fn is_opaque_over(&self, texcoords: [Vec2; 3], alphas: [f32; 3]) -> bool {
+    pub(crate) fn is_opaque_over(&self, texcoords: impl Fn(usize) -> [Vec2; 3], alphas: [f32; 3]) -> bool {
         let least = alphas.into_iter().fold(self.alpha, |least, alpha| least.min(self.alpha * alpha));
-        let of_texture = |texture: &TextureUse| texture.mean_over(texcoords).weight;
-        let weight = self.base_color.as_ref().map_or(1.0, of_texture);
-        self.transmission <= 0.0
+        let weight = self.weight_over(&texcoords);
+        self.transmission_over(&texcoords) <= 0.0
             && match self.alpha_mode {
                 AlphaMode::Opaque => true,
                 AlphaMode::Mask(cutoff) => weight >= 1.0 && least >= cutoff,
@@ -113,17 +138,40 @@ impl Look {
             }
     }
 
-    /// What happens to light at a place, given by texture coordinates of the picture (the whole counts where they are no
-    /// numbers); `color` is the mesh's there, and `volume` what the volume behind leaves of light.
+    /// Mean weight of the base colour texture over a triangle.
+    fn weight_over(&self, texcoords: impl Fn(usize) -> [Vec2; 3]) -> f32 {
+        self.base_color.as_ref().map_or(1.0, |texture| texture.mean_over(texcoords(texture.texcoord)).weight)
+    }
+
+    /// Mean transmission over a triangle.
+    fn transmission_over(&self, texcoords: impl Fn(usize) -> [Vec2; 3]) -> f32 {
+        let texture = self.transmission_texture.as_ref();
+        self.transmission * texture.map_or(1.0, |texture| texture.mean_over(texcoords(texture.texcoord)).color.x)
+    }
+
+    /// How it lets light through at a place, given by texture coordinates of the transmission and of the thickness picture;
+    /// `volume` is what the volume behind leaves of light at its full thickness.
     #[inline]
-    pub(crate) fn passage(&self, uv: Vec2, color: Vec4, volume: Vec3) -> Passage {
+    pub(crate) fn through(&self, [transmission, thickness]: [Vec2; 2], volume: Vec3) -> Through {
+        let share = self.transmission_texture.as_ref().map_or(1.0, |texture| texel(texture, transmission).color.x);
+        let volume = match &self.thickness_texture {
+            Some(texture) => volume.powf(texel(texture, thickness).color.y),
+            None => volume,
+        };
+        Through { share: self.transmission * share, volume }
+    }
+
+    /// What happens to light at a place, given by texture coordinates of the picture (the whole counts where they are no
+    /// numbers); `color` is the mesh's there.
+    #[inline]
+    pub(crate) fn passage(&self, uv: Vec2, color: Vec4, Through { share, volume }: Through) -> Passage {
         let covered = self.coverage(uv, color.w);
-        if self.transmission <= 0.0 {
+        if share <= 0.0 {
             return Passage { opacity: covered, tint: Vec3::ONE };
         }
         let texture = self.base_color.as_ref().map_or(Vec3::ONE, |texture| texel(texture, uv).color);
         let base = (self.factor * texture * color.truncate()).clamp(Vec3::ZERO, Vec3::ONE);
-        let (opacity, through) = (covered * (1.0 - self.transmission), covered * self.transmission);
+        let (opacity, through) = (covered * (1.0 - share), covered * share);
         let behind = Vec3::splat(1.0 - covered) + base * volume * through;
         let tint = if opacity < 1.0 { (behind / (1.0 - opacity)).min(Vec3::ONE) } else { Vec3::ONE };
         Passage { opacity, tint }
@@ -148,9 +196,9 @@ impl Look {
         }
     }
 
-    /// Mean share of light that does not go through a triangle of the picture, as [`Look::is_opaque_over`] has it.
-    fn mean_opacity_over(&self, texcoords: [Vec2; 3], alphas: [f32; 3]) -> f32 {
-        let weight = self.base_color.as_ref().map_or(1.0, |texture| texture.mean_over(texcoords).weight);
+    /// Mean share of light that does not go through a triangle, as [`Look::is_opaque_over`] has it.
+    fn mean_opacity_over(&self, texcoords: impl Fn(usize) -> [Vec2; 3], alphas: [f32; 3]) -> f32 {
+        let weight = self.weight_over(&texcoords);
         let alpha = self.alpha * alphas.into_iter().sum::<f32>() / 3.0;
         let has_mask = self.base_color.as_ref().is_some_and(|texture| texture.texture.has_mask());
         let covered = match self.alpha_mode {
@@ -159,7 +207,7 @@ impl Look {
             AlphaMode::Mask(cutoff) => f32::from(u8::from(alpha * weight >= cutoff)),
             AlphaMode::Blend => alpha * weight,
         };
-        covered * (1.0 - self.transmission)
+        covered * (1.0 - self.transmission_over(&texcoords))
     }
 }
 
@@ -173,12 +221,11 @@ impl Object {
     pub fn mean_opacity(&self, material: usize) -> f32 {
         let look = self.looks.get(material).and_then(Option::as_deref);
         let Some(look) = look.filter(|look| look.may_let_light_through()) else { return 1.0 };
-        let set = look.base_color.as_ref().map_or(0, |texture| texture.texcoord);
         let (mut sum, mut total) = (0.0, 0.0);
         for corners in self.triangles_of(material) {
             let alphas = corners.map(|vertex| self.mesh.colors.get(vertex).map_or(1.0, |color| color.w));
             let area = self.double_area(corners);
-            sum += area * f64::from(look.mean_opacity_over(self.texcoords(set, corners), alphas));
+            sum += area * f64::from(look.mean_opacity_over(|set| self.texcoords(set, corners), alphas));
             total += area;
         }
         if total > 0.0 { (sum / total) as f32 } else { 1.0 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{DMat3, DMat4};
 
 use super::names::UniqueNames;
-use super::{Light, LightKind, Mesh, Object, Scene};
+use super::{Light, LightKind, Look, Mesh, Object, Scene};
 
 /// Merges all objects of an asset into one called `name`, in the asset's world space (its own transform is the
 /// identity), and names its lights after it: emissive materials `name`, `name/2`, …; punctual lights
@@ -21,7 +21,9 @@ pub fn merge_as_object(asset: &Scene, name: &str) -> (Object, Vec<Light>) {
         let first = materials.len() as u32;
         first_material.push((object.name.as_str(), first));
         append(&mut mesh, object, first);
-        extend(&mut looks, &object.looks, materials.len(), object.materials.len(), None);
+        let scale = DMat3::from_mat4(object.world_from_object).determinant().abs().cbrt() as f32;
+        let own: Vec<_> = object.looks.iter().map(|look| look.as_ref().map(|look| scaled(look, scale))).collect();
+        extend(&mut looks, &own, materials.len(), object.materials.len(), None);
         materials.extend_from_slice(&object.materials);
         material_names.extend_from_slice(&object.material_names);
     }
@@ -53,6 +55,14 @@ pub fn merge_as_object(asset: &Scene, name: &str) -> (Object, Vec<Light>) {
     let punctual: Vec<Light> = punctual.into_iter().map(rename).collect();
     emissive.extend(punctual);
     (object, emissive)
+}
+
+/// A look with its lengths in the asset's world space.
+fn scaled(look: &Arc<Look>, scale: f32) -> Arc<Look> {
+    if look.thickness == 0.0 || scale == 1.0 {
+        return Arc::clone(look);
+    }
+    Arc::new(Look { thickness: look.thickness * scale, ..(**look).clone() })
 }
 
 /// Appends an object's mesh, transformed to world space.
@@ -96,6 +106,18 @@ mod tests {
     use super::*;
     use crate::scene::Material;
     use crate::surface::Surface;
+
+    /// How deep light goes below a pane is a length: it grows with the object.
+    #[test]
+    fn depths_keep_their_length() {
+        let look = Look { transmission: 1.0, thickness: 0.25, ..Look::plain(Vec3::ONE) };
+        let mut pane = Object::new("pane", Mesh::cuboid(Vec3::ZERO, Vec3::ONE), Material::diffuse(Vec3::ONE));
+        pane.looks = vec![Some(Arc::new(look))];
+        let scaled = pane.clone().placed(DMat4::from_scale(DVec3::splat(-3.0)));
+        let (object, _) = merge_as_object(&Scene::from_objects(vec![pane, scaled]), "panes");
+        let depths: Vec<f32> = object.looks.iter().flatten().map(|look| look.thickness).collect();
+        assert_eq!(depths, [0.25, 0.75]);
+    }
 
     /// A mirrored lamp and a plain box: one closed object, lights renamed and pointing at the right materials.
     #[test]

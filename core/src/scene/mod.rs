@@ -16,8 +16,8 @@ mod texture;
 pub use self::gltf::{LoadError, LoadLimits, Original, load, load_path, open_original};
 pub(crate) use self::gltf::{OriginalMesh, OriginalNode};
 pub use self::light::{ENVIRONMENT, Light, LightKind};
-pub(crate) use self::look::Passage;
 pub use self::look::{AlphaMode, Look};
+pub(crate) use self::look::{Passage, Through};
 pub use self::merge::merge_as_object;
 pub use self::outside::Outside;
 pub use self::sky::{LoadedSky, SkyError, SkyPicture, is_sky, load_sky};
@@ -60,7 +60,7 @@ impl Scene {
     /// Bytes of all textures; those that objects share count once.
     pub(crate) fn texture_bytes(&self) -> usize {
         let looks = self.objects.iter().flat_map(|object| object.looks.iter().flatten());
-        let textures = looks.flat_map(|look| [&look.base_color, &look.emissive]).flatten();
+        let textures = looks.flat_map(|look| look.textures());
         let by_address: BTreeMap<*const Texture, usize> =
             textures.map(|of| (Arc::as_ptr(&of.texture), of.texture.bytes())).collect();
         by_address.values().sum()

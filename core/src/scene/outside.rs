@@ -68,6 +68,10 @@ mod tests {
         let mut scene = dark().with_light(sun(0.0));
         assert!(Outside { sun_angle: 0.01, ..plain }.add_to(&mut scene));
         assert!(scene.lights == [sun(0.01)] && scene.warnings.is_empty());
+        // One that is off lights nothing; it is not what the sky is for.
+        let mut off = dark().with_light(Light { intensity: 0.0, ..sun(0.0) });
+        assert!(Outside { default_sky: true, ..Outside::default() }.add_to(&mut off));
+        assert!(off.lights.len() == 1 && off.warnings[0].contains("no light"), "{:?}", off.warnings);
         let sky = Outside { sky: Some((LightKind::Environment, Vec3::ONE, 2.0)), ..Outside::default() };
         assert!(sky.add_to(&mut scene) && !sky.add_to(&mut scene));
         assert_eq!((scene.lights.len(), scene.lights[1].strength()), (2, Vec3::splat(2.0)));

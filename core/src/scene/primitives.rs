@@ -178,9 +178,9 @@ impl Scene {
         }
     }
 
-    /// Adds a warning where there is no light at all.
+    /// Adds a warning where there is no light at all, or none that is on.
     pub fn warn_where_dark(&mut self) {
-        if self.lights.is_empty() {
+        if self.lights.iter().all(|light| light.strength() == Vec3::ZERO) {
             let text = "the scene has no light, so its light map is black: add lamps, or light from outside (sky, environment or \
                  default_sky)";
             self.warnings.push(text.to_owned());

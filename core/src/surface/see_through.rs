@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{DMat3, DMat4, Vec2, Vec3, Vec4};
 
 use super::{Corners, Surface};
-use crate::scene::{Look, Object, Passage};
+use crate::scene::{Look, Object, Passage, TextureUse, Through};
 
 const OPAQUE: u32 = u32::MAX;
 
@@ -17,6 +17,8 @@ pub(crate) struct SeeThrough {
     faces: Vec<Face>,
     /// Per face: linear RGBA at its corners; empty where the mesh has no colours.
     colors: Vec<[Vec4; 3]>,
+    /// Per face: texture coordinates of the pictures of transmission and of thickness; empty where there are none.
+    glass_uv: Vec<[[Vec2; 3]; 2]>,
     /// Per material.
     panes: Vec<Option<Pane>>,
 }
@@ -48,23 +50,29 @@ impl SeeThrough {
         if panes.iter().all(Option::is_none) {
             return None;
         }
-        let (mut faces, mut colors) = (Vec::new(), Vec::new());
+        let has_pictures = panes.iter().flatten().any(|pane| !pane.is_plain());
+        let (mut faces, mut colors, mut glass_uv) = (Vec::new(), Vec::new(), Vec::new());
         let of_face = |(face, &material): (usize, &u32)| {
             let Some(Pane { look, .. }) = panes.get(material as usize).and_then(Option::as_ref) else { return OPAQUE };
             let corners = Corners::new(&object.mesh, surface, face as u32);
-            let texcoords = corners.texcoords(look.base_color.as_ref().map_or(0, |texture| texture.texcoord));
-            if look.is_opaque_over(texcoords, corners.colors.map(|color| color.w)) {
+            if look.is_opaque_over(|set| corners.texcoords(set), corners.colors.map(|color| color.w)) {
                 return OPAQUE;
             }
-            let uv = texcoords.map(|uv| look.base_color.as_ref().map_or(uv, |texture| texture.map(uv)));
-            faces.push(Face { uv, material });
+            let of_picture = |texture: &Option<TextureUse>| match texture {
+                Some(texture) => corners.texcoords(texture.texcoord).map(|uv| texture.map(uv)),
+                None => [Vec2::ZERO; 3],
+            };
+            faces.push(Face { uv: of_picture(&look.base_color), material });
+            if has_pictures {
+                glass_uv.push([of_picture(&look.transmission_texture), of_picture(&look.thickness_texture)]);
+            }
             if !object.mesh.colors.is_empty() {
                 colors.push(corners.colors);
             }
             faces.len() as u32 - 1
         };
         let of_triangle = surface.triangle_materials.iter().enumerate().map(of_face).collect();
-        (!faces.is_empty()).then(|| Arc::new(SeeThrough { of_triangle, faces, colors, panes }))
+        (!faces.is_empty()).then(|| Arc::new(SeeThrough { of_triangle, faces, colors, glass_uv, panes }))
     }
 
     /// Triangles of the surface that let light through.
@@ -83,12 +91,16 @@ impl SeeThrough {
     pub(crate) fn at(&self, triangle: usize, [u, v]: [f32; 2]) -> Option<Passage> {
         let face = self.of_triangle[triangle];
         let Face { uv, material } = self.faces.get(face as usize)?;
-        let Pane { look, volume } = self.panes[*material as usize].as_ref()?;
+        let pane @ Pane { look, volume } = self.panes[*material as usize].as_ref()?;
         let weights = [1.0 - u - v, u, v];
-        let uv = uv.iter().zip(weights).map(|(corner, w)| *corner * w).sum();
+        let place = |uv: &[Vec2; 3]| uv.iter().zip(weights).map(|(corner, w)| *corner * w).sum();
+        let through = match self.glass_uv.get(face as usize).filter(|_| !pane.is_plain()) {
+            Some(uv) => look.through(uv.each_ref().map(place), *volume),
+            None => Through { share: look.transmission, volume: *volume },
+        };
         let mean = |corners: &[Vec4; 3]| corners.iter().zip(weights).map(|(corner, w)| *corner * w).sum();
         let color = self.colors.get(face as usize).map_or(Vec4::ONE, mean);
-        Some(look.passage(uv, color, *volume))
+        Some(look.passage(place(uv), color, through))
     }
 
     /// Bytes held, without textures.
@@ -96,7 +108,15 @@ impl SeeThrough {
         self.of_triangle.capacity() * size_of::<u32>()
             + self.faces.capacity() * size_of::<Face>()
             + self.colors.capacity() * size_of::<[Vec4; 3]>()
+            + self.glass_uv.capacity() * size_of::<[[Vec2; 3]; 2]>()
             + self.panes.capacity() * size_of::<Pane>()
+    }
+}
+
+impl Pane {
+    /// Whether it lets the same share of light through all over.
+    fn is_plain(&self) -> bool {
+        self.look.transmission_texture.is_none() && self.look.thickness_texture.is_none()
     }
 }
 

@@ -7,7 +7,7 @@ use glam::{Vec3, Vec4};
 use json::validation::Checked;
 
 use super::container::File;
-use super::textures::Textures;
+use super::textures::{Texels, Textures};
 use super::warnings::Warnings;
 use super::{LoadError, LoadLimits, malformed};
 use crate::allowed::Allowed;
@@ -30,6 +30,9 @@ pub(super) struct LoadedMaterial {
     pub(super) emission_intensity: f32,
     /// All light goes through everywhere: triangles of this material are left out.
     pub(super) is_clear: bool,
+    /// Which set of the file's texture coordinates its textures read as their first. Meshes keep two: where no texture
+    /// reads TEXCOORD_0, a later set takes its place.
+    pub(super) first_set: usize,
 }
 
 /// Materials of a file, read when a primitive first uses them.
@@ -51,33 +54,35 @@ const ROUNDING: f32 = 1e-3;
 impl LoadedMaterial {
     /// Whether a texture of it reads a set of texture coordinates.
     pub(super) fn uses_texcoord(&self, set: usize) -> bool {
-        let textures = self.look.iter().flat_map(|look| [&look.base_color, &look.emissive]);
-        textures.flatten().any(|texture| texture.texcoord == set)
+        self.look.iter().flat_map(|look| look.textures()).any(|texture| texture.texcoord == set)
     }
 
     /// The material where the mesh has only some of its texture coordinates: a texture without them shows its mean all
-    /// over. And which of both textures that is.
-    pub(super) fn with_texcoords(mut self, has: impl Fn(usize) -> bool) -> (Self, [bool; 2]) {
-        let Some(look) = &self.look else { return (self, [false; 2]) };
-        let is_unplaced = |texture: &&TextureUse| !has(texture.texcoord);
-        let (base, emissive) = (look.base_color.as_ref(), look.emissive.as_ref());
-        let means = [base, emissive].map(|texture| texture.filter(is_unplaced).map(|texture| texture.texture.mean()));
+    /// over. And which of its textures that is.
+    pub(super) fn with_texcoords(mut self, has: impl Fn(usize) -> bool) -> (Self, [bool; 4]) {
+        let Some(look) = &self.look else { return (self, [false; 4]) };
         let mut look = Look::clone(look);
-        if let Some(mean) = means[0] {
+        let take_unplaced = |texture: &mut Option<TextureUse>| {
+            texture.take_if(|texture| !has(texture.texcoord)).map(|texture| texture.texture.mean())
+        };
+        let (base, emissive) = (take_unplaced(&mut look.base_color), take_unplaced(&mut look.emissive));
+        let transmission = take_unplaced(&mut look.transmission_texture);
+        let thickness = take_unplaced(&mut look.thickness_texture);
+        if let Some(mean) = base {
             look.factor *= mean.color;
-            look.base_color = None;
             if look.alpha_mode == AlphaMode::Blend {
                 look.alpha *= mean.weight;
             }
         }
-        if let Some(mean) = means[1] {
+        if let Some(mean) = emissive {
             look.emission *= mean.color;
-            look.emissive = None;
             self.material.emission *= mean.color;
             self.emission_color *= mean.color;
         }
-        let unplaced = means.map(|mean| mean.is_some());
-        if unplaced != [false; 2] {
+        look.transmission *= transmission.map_or(1.0, |mean| mean.color.x);
+        look.thickness *= thickness.map_or(1.0, |mean| mean.color.y);
+        let unplaced = [base, emissive, transmission, thickness].map(|mean| mean.is_some());
+        if unplaced != [false; 4] {
             self.look = look.varies().then(|| Arc::new(look));
         }
         (self, unplaced)
@@ -116,6 +121,7 @@ impl<'f> Materials<'f> {
                 emission_color: Vec3::ZERO,
                 emission_intensity: 1.0,
                 is_clear: false,
+                first_set: 0,
             });
         };
         let index = index.value();
@@ -132,16 +138,18 @@ impl<'f> Materials<'f> {
         let json = self.file.root.materials.get(index).ok_or_else(missing)?;
         let place = format!("material {index} \"{}\"", json.name.as_deref().unwrap_or_default());
         let mut look = self.base(index, json, &place, warnings)?;
-        read_transmission(json, &mut look, &place, warnings)?;
+        self.read_transmission(json, &mut look, &place, warnings)?;
         let (mut color, mut intensity) = emission(json, &place)?;
         let mut factor = color * intensity;
-        let is_clear = look.is_clear();
+        // By what the file says, so that it is the same whether pictures are decoded or not.
+        let has_picture = json.extensions.as_ref().and_then(|e| e.transmission.as_ref()?.transmission_texture.as_ref());
+        let is_clear = look.is_clear() && has_picture.is_none();
         let mut emissive = None;
         if is_clear {
             warnings.add("materials that let all light through are left out", &place);
             color = Vec3::ZERO;
         } else if let Some(info) = json.emissive_texture.as_ref().filter(|_| color != Vec3::ZERO) {
-            emissive = self.textures.get(info, AlphaUse::Ignored, "emissive", &place, warnings)?;
+            emissive = self.textures.get(info, Texels::Colors(AlphaUse::Ignored), "emissive", &place, warnings)?;
             match &emissive {
                 Some(texture) if texture.texture.mean().color == Vec3::ZERO => (color, emissive) = (Vec3::ZERO, None),
                 Some(_) => {}
@@ -156,7 +164,12 @@ impl<'f> Materials<'f> {
             intensity = 1.0;
         }
         let mean = look.base_color.as_ref().map_or(Vec3::ONE, |texture| texture.texture.mean().color);
-        let look = Look { emission: factor, emissive, ..look };
+        let mut look = Look { emission: factor, emissive, ..look };
+        let first_set = take_first_set(&mut look);
+        if look.textures().any(|texture| texture.texcoord > 1) {
+            let text = "textures of sets beyond TEXCOORD_1, of materials that read TEXCOORD_0 or another of them, count with their mean";
+            warnings.add(text, &place);
+        }
         let albedo = self.checked(look.factor * mean, &place, warnings);
         let look = look.varies().then(|| Arc::new(look));
         let emission = color * intensity;
@@ -171,6 +184,7 @@ impl<'f> Materials<'f> {
             emission_color: color,
             emission_intensity: intensity,
             is_clear,
+            first_set,
         })
     }
 
@@ -215,7 +229,7 @@ impl<'f> Materials<'f> {
         }
         let mut look = Look { alpha: factor.w, alpha_mode, ..Look::plain(factor.truncate()) };
         if let Some(info) = info {
-            look.base_color = self.textures.get(info, alpha_use, "base colour", place, warnings)?;
+            look.base_color = self.textures.get(info, Texels::Colors(alpha_use), "base colour", place, warnings)?;
             match look.base_color {
                 Some(_) => warnings.add("base colour textures count with their mean colour over each element", place),
                 None => look.factor *= MID_GREY,
@@ -230,6 +244,46 @@ impl<'f> Materials<'f> {
         Ok(look)
     }
 
+    /// What goes through, and what a volume takes of it.
+    fn read_transmission(
+        &mut self,
+        json: &json::Material,
+        look: &mut Look,
+        place: &str,
+        warnings: &mut Warnings,
+    ) -> Result<(), LoadError> {
+        let Some(extensions) = &json.extensions else { return Ok(()) };
+        let Some(transmission) = &extensions.transmission else { return Ok(()) };
+        let within = |value: f32, name: &str, most: f32| {
+            let problem = || malformed(place, &format!("its {name} is {value}, it must be within 0 and {most}"));
+            if value.is_finite() { Ok(value.clamp(0.0, most)) } else { Err(problem()) }
+        };
+        look.transmission = within(transmission.transmission_factor.0, "transmissionFactor", 1.0)?;
+        if look.transmission == 0.0 {
+            return Ok(());
+        }
+        warnings.add("transmissive materials (KHR_materials_transmission) let light through without bending it", place);
+        if let Some(info) = &transmission.transmission_texture {
+            look.transmission_texture = self.textures.get(info, Texels::Numbers, "transmission", place, warnings)?;
+        }
+        let Some(volume) = &extensions.volume else { return Ok(()) };
+        look.thickness = within(volume.thickness_factor.0, "thicknessFactor", f32::MAX)?;
+        let distance = volume.attenuation_distance.0;
+        let color = Vec3::from_array(volume.attenuation_color.0);
+        if !color.is_finite() || distance.is_nan() {
+            return Err(malformed(place, "its attenuation is not a number"));
+        }
+        if distance > 0.0 && distance.is_finite() {
+            // Of black some 1e-9 is left.
+            look.absorption = -color.clamp(Vec3::splat(1e-9), Vec3::ONE).ln() / distance;
+        }
+        let takes = look.thickness > 0.0 && look.absorption != Vec3::ZERO;
+        if let Some(info) = volume.thickness_texture.as_ref().filter(|_| takes) {
+            look.thickness_texture = self.textures.get(info, Texels::Numbers, "thickness", place, warnings)?;
+        }
+        Ok(())
+    }
+
     /// The albedo within bounds, and a warning where light meets less than it says.
     fn checked(&self, albedo: Vec3, place: &str, warnings: &mut Warnings) -> Vec3 {
         if albedo.max_element() > self.max_albedo {
@@ -241,6 +295,15 @@ impl<'f> Materials<'f> {
         }
         albedo.clamp(Vec3::ZERO, Vec3::ONE)
     }
+}
+
+/// Lets the first of the sets beyond the second be the first, where no texture reads that; answers which it is.
+fn take_first_set(look: &mut Look) -> usize {
+    let sets = || look.textures().map(|texture| texture.texcoord);
+    let Some(later) = sets().filter(|set| *set > 1).min().filter(|_| sets().all(|set| set != 0)) else { return 0 };
+    let textures = look.textures_mut().filter(|texture| texture.texcoord == later);
+    textures.for_each(|texture| texture.texcoord = 0);
+    later
 }
 
 /// Factors within 0..=1; what lies outside by rounding is mended.
@@ -266,44 +329,6 @@ fn vertex_alpha(root: &json::Root) -> Vec<bool> {
         material.filter(|_| has_alpha).into_iter().for_each(|found| *found = true);
     }
     found
-}
-
-/// What goes through, and what a volume takes of it.
-fn read_transmission(
-    json: &json::Material,
-    look: &mut Look,
-    place: &str,
-    warnings: &mut Warnings,
-) -> Result<(), LoadError> {
-    let Some(extensions) = &json.extensions else { return Ok(()) };
-    let Some(transmission) = &extensions.transmission else { return Ok(()) };
-    let within = |value: f32, name: &str, most: f32| {
-        let problem = || malformed(place, &format!("its {name} is {value}, it must be within 0 and {most}"));
-        if value.is_finite() { Ok(value.clamp(0.0, most)) } else { Err(problem()) }
-    };
-    look.transmission = within(transmission.transmission_factor.0, "transmissionFactor", 1.0)?;
-    if look.transmission == 0.0 {
-        return Ok(());
-    }
-    warnings.add("transmissive materials (KHR_materials_transmission) let light through without bending it", place);
-    if transmission.transmission_texture.is_some() {
-        warnings.add("transmission textures are not read: the factor counts all over", place);
-    }
-    let Some(volume) = &extensions.volume else { return Ok(()) };
-    look.thickness = within(volume.thickness_factor.0, "thicknessFactor", f32::MAX)?;
-    if volume.thickness_texture.is_some() {
-        warnings.add("thickness textures are not read: the factor counts all over", place);
-    }
-    let distance = volume.attenuation_distance.0;
-    let color = Vec3::from_array(volume.attenuation_color.0);
-    if !color.is_finite() || distance.is_nan() {
-        return Err(malformed(place, "its attenuation is not a number"));
-    }
-    if distance > 0.0 && distance.is_finite() {
-        // Of black some 1e-9 is left.
-        look.absorption = -color.clamp(Vec3::splat(1e-9), Vec3::ONE).ln() / distance;
-    }
-    Ok(())
 }
 
 /// Emissive factor and strength.

@@ -47,7 +47,7 @@ struct Draft {
     has_normals: bool,
     materials: Vec<LoadedMaterial>,
     /// glTF material, and which of its textures have no place on the primitive, to index into `materials`.
-    material_slots: BTreeMap<(Option<usize>, [bool; 2]), u32>,
+    material_slots: BTreeMap<(Option<usize>, [bool; 4]), u32>,
     /// What primitives often share, by the accessors of all that is read of it.
     vertex_ranges: BTreeMap<Vec<Option<usize>>, (u32, usize)>,
     degenerate_triangles: usize,
@@ -141,10 +141,11 @@ impl<'f> Meshes<'f> {
         pose: &Pose,
         warnings: &mut Warnings,
     ) -> Result<(), LoadError> {
-        let has =
-            |set: usize| set < 2 && primitive.attributes.contains_key(&Checked::Valid(Semantic::TexCoords(set as u32)));
+        let first_set = material.first_set;
+        let is_there = |set: usize| primitive.attributes.contains_key(&Checked::Valid(Semantic::TexCoords(set as u32)));
+        let has = |set: usize| set < 2 && is_there(if set == 0 { first_set } else { set });
         let (material, unplaced) = material.with_texcoords(has);
-        if unplaced != [false; 2] {
+        if unplaced != [false; 4] {
             warnings.add("textures without texture coordinates on the mesh count with their mean colour", place.name);
         }
         let compressed = self.file.more.draco(place.mesh, place.number);
@@ -208,7 +209,8 @@ impl<'f> Meshes<'f> {
         draft.mesh.normals.resize(first + count, Vec3::ZERO);
         for set in 0..2 {
             let values = match material.uses_texcoord(set) {
-                true => attributes.texcoords(set as u32, count)?,
+                true if set == 0 => attributes.texcoords(self.first_set(material), count)?,
+                true => attributes.texcoords(1, count)?,
                 // An atlas may use the second set, and does without it where it is of no use.
                 false if set == 1 => attributes.texcoords(1, count).unwrap_or(None),
                 false if self.is_whole => attributes.texcoords(0, count).unwrap_or(None),
@@ -232,10 +234,17 @@ impl<'f> Meshes<'f> {
         Ok(range)
     }
 
+    /// The set of the file that is a mesh's first.
+    fn first_set(&self, material: &LoadedMaterial) -> u32 {
+        // Files that are written back keep theirs.
+        if self.is_whole { 0 } else { material.first_set as u32 }
+    }
+
     /// The accessors that decide about a primitive's vertices; none for compressed ones, which are their own.
     fn shared_by(&self, attributes: &Attributes<'_>, material: &LoadedMaterial) -> Option<Vec<Option<usize>>> {
         let of = |semantic| attributes.accessor(semantic).map(|index| index.value());
-        let first = of(Semantic::TexCoords(0)).filter(|_| self.is_whole || material.uses_texcoord(0));
+        let first = of(Semantic::TexCoords(self.first_set(material)));
+        let first = first.filter(|_| self.is_whole || material.uses_texcoord(0));
         let positions = of(Semantic::Positions);
         let all = vec![positions, of(Semantic::Normals), of(Semantic::Colors(0)), first, of(Semantic::TexCoords(1))];
         attributes.draco.is_none().then_some(all)
@@ -259,7 +268,7 @@ fn append<T: Copy>(list: &mut Vec<T>, first: usize, values: Option<impl Iterator
 }
 
 impl Draft {
-    fn material_slot(&mut self, key: (Option<usize>, [bool; 2]), material: LoadedMaterial) -> u32 {
+    fn material_slot(&mut self, key: (Option<usize>, [bool; 4]), material: LoadedMaterial) -> u32 {
         let next = self.materials.len() as u32;
         let slot = *self.material_slots.entry(key).or_insert(next);
         if slot == next {

@@ -24,7 +24,26 @@ const DECODER_BYTES: u64 = 64 << 20;
 /// there may be keeps little more than it is allowed.
 const KEPT_TEXELS: (usize, usize) = (1 << 6, 1 << 20);
 
-/// Textures of a file, each decoded once per meaning of its alpha.
+/// What the texels of a texture are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Texels {
+    /// sRGB, and what alpha means.
+    Colors(AlphaUse),
+    /// Numbers from 0 to 1.
+    Numbers,
+}
+
+impl Texels {
+    /// What is taken for a texture that is missing.
+    fn stand_in(self) -> &'static str {
+        match self {
+            Self::Colors(_) => "mid grey stands for their colour (albedo 0.5)",
+            Self::Numbers => "their factor counts all over",
+        }
+    }
+}
+
+/// Textures of a file, each decoded once per meaning of its texels.
 #[derive(Debug)]
 pub(super) struct Textures<'f> {
     file: &'f File<'f>,
@@ -33,11 +52,11 @@ pub(super) struct Textures<'f> {
     kept_texels_left: usize,
     /// Instead of every picture, where none is decoded.
     blank: Option<Arc<Texture>>,
-    /// By image and what its alpha means. None: not there, or in a format that is not read.
-    known: BTreeMap<(usize, AlphaKey), Option<Arc<Texture>>>,
+    /// By image and what its texels are. None: not there, or in a format that is not read.
+    known: BTreeMap<(usize, TexelKey), Option<Arc<Texture>>>,
 }
 
-type AlphaKey = (u8, u32);
+type TexelKey = (u8, u32);
 
 impl<'f> Textures<'f> {
     pub(super) fn new(file: &'f File<'f>, limits: &LoadLimits) -> Self {
@@ -61,34 +80,31 @@ impl<'f> Textures<'f> {
     pub(super) fn get(
         &mut self,
         info: &json::texture::Info,
-        alpha: AlphaUse,
+        texels: Texels,
         kind: &str,
         place: &str,
         warnings: &mut Warnings,
     ) -> Result<Option<TextureUse>, LoadError> {
         let root = &self.file.root;
         let texture = root.get(info.index).ok_or_else(|| malformed(place, "its texture does not exist"))?;
-        let Some(image) = self.image_of(info.index.value(), texture, kind, place, warnings)? else { return Ok(None) };
-        let key = (image, alpha_key(alpha));
+        let image = self.image_of((info.index.value(), texture), (texels, kind), place, warnings)?;
+        let Some(image) = image else { return Ok(None) };
+        let key = (image, key_of(texels));
         let picture = match self.known.get(&key) {
             _ if self.blank.is_some() => self.blank.clone(),
             Some(known) => known.clone(),
             None => {
-                let read = self.read(image, alpha, warnings)?.map(Arc::new);
+                let read = self.read(image, texels, warnings)?.map(Arc::new);
                 self.known.insert(key, read.clone());
                 read
             }
         };
         let Some(picture) = picture else {
-            warnings.add(format!("missing {kind} textures: mid grey stands for their colour (albedo 0.5)"), place);
+            warnings.add(format!("missing {kind} textures: {}", texels.stand_in()), place);
             return Ok(None);
         };
         let transform = info.extensions.as_ref().and_then(|extensions| extensions.texture_transform.as_ref());
         let texcoord = transform.and_then(|transform| transform.tex_coord).unwrap_or(info.tex_coord);
-        if texcoord > 1 {
-            warnings
-                .add("texture coordinates beyond TEXCOORD_1 are not read: their textures count with their mean", place);
-        }
         let (linear, offset) = transform.map_or((Mat2::IDENTITY, Vec2::ZERO), matrix_of);
         if !(linear.is_finite() && offset.is_finite()) {
             return Err(malformed(place, "a texture transform has a number that is not finite"));
@@ -100,30 +116,32 @@ impl<'f> Textures<'f> {
     /// The image of a texture in the best format that is read.
     fn image_of(
         &self,
-        index: usize,
-        texture: &json::Texture,
-        kind: &str,
+        (index, texture): (usize, &json::Texture),
+        (texels, kind): (Texels, &str),
         place: &str,
         warnings: &mut Warnings,
     ) -> Result<Option<usize>, LoadError> {
         let extensions = self.file.more.texture(index);
         let webp = extensions.and_then(|e| e.webp.as_ref()?.source).map(|image| image.value());
         let own = Some(texture.source.value()).filter(|image| *image != u32::MAX as usize);
-        if let Some(image) = webp.or(own) {
-            return Ok(Some(image));
-        }
         let unread = extensions.and_then(|e| {
             let all = [("KHR_texture_basisu", &e.basisu), ("EXT_texture_avif", &e.avif), ("MSFT_texture_dds", &e.dds)];
             all.into_iter().find(|(_, source)| source.is_some()).map(|(name, _)| name)
         });
+        if let Some(image) = webp.or(own) {
+            if let Some(name) = unread.filter(|_| webp.is_none()) {
+                warnings.add(format!("textures in a format that is not read ({name}) show their other image"), place);
+            }
+            return Ok(Some(image));
+        }
         let name = unread.unwrap_or("no image");
         if self.file.root.extensions_required.iter().any(|required| required == name) {
-            let text = format!("{place}: its {kind} texture needs the extension {name}, which is not supported");
+            let text = format!(
+                "{place}: its {kind} texture needs the extension {name}, which is not supported: PNG, JPEG and WebP are read"
+            );
             return Err(LoadError::Unsupported(text));
         }
-        let text =
-            format!("missing {kind} textures ({name} is not read): mid grey stands for their colour (albedo 0.5)");
-        warnings.add(text, place);
+        warnings.add(format!("missing {kind} textures ({name} is not read): {}", texels.stand_in()), place);
         Ok(None)
     }
 
@@ -137,7 +155,7 @@ impl<'f> Textures<'f> {
         })
     }
 
-    fn read(&mut self, index: usize, alpha: AlphaUse, warnings: &mut Warnings) -> Result<Option<Texture>, LoadError> {
+    fn read(&mut self, index: usize, texels: Texels, warnings: &mut Warnings) -> Result<Option<Texture>, LoadError> {
         let place = format!("image {index}");
         let Some(bytes) = self.bytes_of(index, &place)? else { return Ok(None) };
         // By its first bytes: the stated type is often wrong.
@@ -169,7 +187,10 @@ impl<'f> Textures<'f> {
         self.total_pixels_left -= pixels;
         let picture = image::DynamicImage::from_decoder(decoder).map_err(broken)?.into_rgba8();
         let kept = (self.kept_texels_left / 8).clamp(KEPT_TEXELS.0, KEPT_TEXELS.1);
-        let texture = Texture::new(width, height, picture.as_raw(), alpha, kept);
+        let texture = match texels {
+            Texels::Colors(alpha) => Texture::new(width, height, picture.as_raw(), alpha, kept),
+            Texels::Numbers => Texture::of_numbers(width, height, picture.as_raw(), kept),
+        };
         let (width, height) = texture.size();
         self.kept_texels_left = self.kept_texels_left.saturating_sub(width as usize * height as usize);
         Ok(Some(texture))
@@ -197,11 +218,12 @@ pub(super) fn image_bytes<'f>(
     })
 }
 
-fn alpha_key(alpha: AlphaUse) -> AlphaKey {
-    match alpha {
-        AlphaUse::Ignored => (0, 0),
-        AlphaUse::Cutoff(cutoff) => (1, cutoff.to_bits()),
-        AlphaUse::Blend => (2, 0),
+fn key_of(texels: Texels) -> TexelKey {
+    match texels {
+        Texels::Colors(AlphaUse::Ignored) => (0, 0),
+        Texels::Colors(AlphaUse::Cutoff(cutoff)) => (1, cutoff.to_bits()),
+        Texels::Colors(AlphaUse::Blend) => (2, 0),
+        Texels::Numbers => (3, 0),
     }
 }
 

@@ -89,8 +89,21 @@ impl Texture {
         let weights = alpha.weights();
         let mask = matches!(alpha, AlphaUse::Cutoff(_)).then(|| Mask::new(width, height, texels, &weights));
         let is_transparent = texels.iter().any(|texel| weights[texel[3] as usize] < 1.0);
-        let levels = reduce::pyramid(width, height, texels, &weights, max_texels.max(1));
+        let levels = reduce::pyramid(width, height, texels, [&reduce::srgb_codes(), &weights], max_texels.max(1));
         Self { levels, mask, is_transparent }
+    }
+
+    /// Of texels that hold numbers and no colours: 255 is 1, and half of it half. Alpha does not count; else as
+    /// [`Texture::new`].
+    ///
+    /// # Panics
+    /// Where `rgba` has another length, or there is no texel.
+    pub fn of_numbers(width: u32, height: u32, rgba: &[u8], max_texels: usize) -> Self {
+        let (texels, []) = rgba.as_chunks::<4>() else { panic!("four bytes a texel") };
+        assert!(width > 0 && height > 0 && texels.len() == width as usize * height as usize, "{width} x {height}");
+        let codes = std::array::from_fn(|code| code as f32 / 255.0);
+        let levels = reduce::pyramid(width, height, texels, [&codes, &AlphaUse::Ignored.weights()], max_texels.max(1));
+        Self { levels, mask: None, is_transparent: false }
     }
 
     /// Width and height of the largest level that is kept, texels.

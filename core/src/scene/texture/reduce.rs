@@ -19,15 +19,15 @@ impl Level {
     }
 }
 
-/// All levels, the first of at most `max_texels`.
+/// All levels, the first of at most `max_texels`. `linear` and `weights` tell what each code of a colour and of alpha
+/// stands for.
 pub(super) fn pyramid(
     width: u32,
     height: u32,
     texels: &[[u8; 4]],
-    weights: &[f32; 256],
+    [linear, weights]: [&[f32; 256]; 2],
     max_texels: usize,
 ) -> Vec<Level> {
-    let linear: [f32; 256] = std::array::from_fn(|code| linear_from_srgb(code as f64 / 255.0) as f32);
     let fetch = |x: u32, y: u32| {
         let [r, g, b, a] = texels[y as usize * width as usize + x as usize].map(usize::from);
         Vec4::new(linear[r], linear[g], linear[b], 1.0) * weights[a]
@@ -85,6 +85,11 @@ fn boxes(length: u32) -> Vec<(u32, [f32; 3])> {
         (first, [part(0), part(1), part(2)])
     };
     (0..half).map(share).collect()
+}
+
+/// What the codes of sRGB stand for.
+pub(super) fn srgb_codes() -> [f32; 256] {
+    std::array::from_fn(|code| linear_from_srgb(code as f64 / 255.0) as f32)
 }
 
 /// IEC 61966-2-1.

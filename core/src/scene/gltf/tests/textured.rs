@@ -135,6 +135,10 @@ fn missing_textures_are_grey_unless_the_file_requires_them() {
         assert_eq!(scene.objects[0].materials[0].albedo, Vec3::new(0.25, 0.125, 0.0625));
         assert!(scene.warnings.iter().any(|text| text.contains("albedo")), "{:?}", scene.warnings);
     }
+    let beside = "[{\"source\": 0, \"extensions\": {\"KHR_texture_basisu\": {\"source\": 0}}}]";
+    let scene = load(&textured(&png, &[("[{\"source\": 0}]", beside)])).unwrap();
+    assert!(scene.objects[0].materials[0].albedo.distance(Vec3::X * 0.25) < 1e-4);
+    assert!(scene.warnings.iter().any(|text| text.contains("other image")), "{:?}", scene.warnings);
     let required = |name: &str| format!("\"extensionsRequired\": [\"{name}\"], \"extensionsUsed\": [");
     let needs = required("KHR_texture_basisu");
     let refused = load(&textured(&png, &[basis, ("\"extensionsUsed\": [", &needs)]));
@@ -181,6 +185,29 @@ fn texture_coordinates_that_are_no_numbers_count_as_zero() {
     let scene = load(&file).unwrap();
     assert_eq!(scene.objects[0].mesh.texcoords[0], [Vec2::ZERO, Vec2::ZERO, Vec2::ONE, Vec2::Y]);
     assert!(scene.warnings.iter().any(|text| text.contains("coordinates")), "{:?}", scene.warnings);
+}
+
+/// Meshes keep two sets; whichever the file calls it, one that is read is kept.
+#[test]
+fn later_coordinates_are_read() {
+    let png = encoded(ImageFormat::Png);
+    let both = ["\"baseColorTexture\": {\"index\": 0}", "\"emissiveTexture\": {\"index\": 0}"];
+    let [base, emissive] = both.map(|texture| texture.replace("0}", "0, \"texCoord\": 3}"));
+    let sets = (", \"TEXCOORD_0\": 3}", ", \"TEXCOORD_0\": 1, \"TEXCOORD_3\": 3}");
+    let [later, usual] = [&[sets, (both[0], base.as_str()), (both[1], emissive.as_str())][..], &[]]
+        .map(|edits| load(&textured(&png, edits)).unwrap());
+    assert_eq!(later.objects[0].mesh.texcoords, usual.objects[0].mesh.texcoords);
+    let looks = [&later, &usual].map(|scene| scene.objects[0].looks[0].clone().unwrap());
+    assert_eq!(looks[0], looks[1]);
+    // Beside the first there is no room for it: its texture has no place.
+    let mixed = load(&textured(
+        &png,
+        &[(", \"TEXCOORD_0\": 3}", ", \"TEXCOORD_0\": 3, \"TEXCOORD_3\": 3}"), (both[1], emissive.as_str())],
+    ));
+    let mixed = mixed.unwrap();
+    let look = mixed.objects[0].looks[0].as_ref().unwrap();
+    assert!(look.base_color.is_some() && look.emissive.is_none(), "{look:?}");
+    assert!(mixed.warnings.iter().any(|text| text.contains("beyond TEXCOORD_1")), "{:?}", mixed.warnings);
 }
 
 #[test]
@@ -235,7 +262,7 @@ fn cut_out() -> Vec<u8> {
 fn opacities(edits: &[(&str, &str)]) -> (AlphaMode, [f32; 2]) {
     let scene = load(&textured(&cut_out(), edits)).unwrap();
     let look = scene.objects[0].looks[0].as_ref().unwrap();
-    let at = |u| look.passage(Vec2::new(u, 0.5), glam::Vec4::ONE, Vec3::ONE).opacity;
+    let at = |u| look.passage(Vec2::new(u, 0.5), glam::Vec4::ONE, look.through([Vec2::ZERO; 2], Vec3::ONE)).opacity;
     assert!(
         !scene.warnings.iter().any(|text| text.contains("opaque") || text.contains("MASK")),
         "{:?}",
@@ -275,7 +302,44 @@ fn glass_is_read_with_its_volume() {
     assert_eq!((look.transmission, look.thickness), (0.75, 0.5));
     let left = (-look.absorption * 2.0).exp();
     assert!(left.distance(Vec3::new(1.0, 0.5, 0.25)) < 1e-5, "{left}");
-    let passage = look.passage(Vec2::ZERO, glam::Vec4::ONE, left);
+    let passage = look.passage(Vec2::ZERO, glam::Vec4::ONE, look.through([Vec2::ZERO; 2], left));
     assert!((passage.transmittance() - 0.75 * Vec3::new(0.5, 0.125, 0.03125)).abs().max_element() < 1e-5);
     assert_eq!(passage.opacity, 0.25);
+}
+
+/// Pictures of numbers are linear: red is what goes through, green how deep it goes.
+#[test]
+fn glass_is_read_with_its_pictures() {
+    let mut bytes = Cursor::new(Vec::new());
+    let pixel = |x, _| image::Rgb(if x < 8 { [0, 255, 9] } else { [51, 102, 9] });
+    image::RgbImage::from_fn(16, 8, pixel).write_to(&mut bytes, ImageFormat::Png).unwrap();
+    let strength = ",\n    \"extensions\": {\"KHR_materials_emissive_strength\": {\"emissiveStrength\": 3}}";
+    let glass = |set: usize, color: &str| {
+        let info = format!("{{\"index\": 0, \"texCoord\": {set}}}");
+        let glass = format!(
+            "\"extensions\": {{\"KHR_materials_transmission\": {{\"transmissionFactor\": 1, \"transmissionTexture\": {info}}}, \
+             \"KHR_materials_volume\": {{\"thicknessFactor\": 0.5, \"thicknessTexture\": {info}, \
+             \"attenuationDistance\": 1, \"attenuationColor\": {color}}}}}"
+        );
+        let base = ("\"baseColorTexture\": {\"index\": 0}, \"baseColorFactor\": [0.5, 0.25, 0.125, 1],", "");
+        let emissive = ("\"emissiveTexture\": {\"index\": 0}, ", "");
+        load(&textured(bytes.get_ref(), &[base, emissive, ("\"doubleSided\": true", &glass), (strength, "")])).unwrap()
+    };
+    let scene = glass(0, "[0.25, 0.25, 0.25]");
+    let look = scene.objects[0].looks[0].as_ref().unwrap();
+    for (u, share, depth) in [(0.25, 0.0, 1.0), (0.75, 0.2, 0.4_f32)] {
+        let found = look.through([Vec2::new(u, 0.5); 2], Vec3::splat(0.5));
+        assert!((found.share - share).abs() < 1e-4, "{found:?}");
+        assert!((found.volume.x - 0.5_f32.powf(depth)).abs() < 1e-4, "{found:?}");
+    }
+    assert!((scene.objects[0].mean_opacity(0) - 0.9).abs() < 1e-4, "{}", scene.objects[0].mean_opacity(0));
+    // A white pane with a picture is not clear all over.
+    assert_eq!(scene.objects[0].mesh.triangles.len(), 2);
+    assert!(!scene.warnings.iter().any(|text| text.contains("textures are not read")), "{:?}", scene.warnings);
+    // Without a place the mean counts; what is not needed is not decoded.
+    let scene = glass(1, "[0.25, 0.25, 0.25]");
+    let look = scene.objects[0].looks[0].as_ref().unwrap();
+    assert!(look.transmission_texture.is_none() && (look.transmission - 0.1).abs() < 1e-4, "{look:?}");
+    assert!(look.thickness_texture.is_none() && (look.thickness - 0.35).abs() < 1e-4, "{look:?}");
+    assert!(glass(0, "[1, 1, 1]").objects[0].looks[0].as_ref().unwrap().thickness_texture.is_none());
 }
