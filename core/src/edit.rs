@@ -56,6 +56,16 @@ pub enum Edit {
         /// Its diffuse albedo, linear RGB, each in 0..=1.
         albedo: Vec3,
     },
+    /// Gives materials another base colour factor: textures and vertex colours stay and are multiplied by it. What was
+    /// repainted has none any more.
+    Tint {
+        /// Name of the object; every object that has the material where absent.
+        object: Option<String>,
+        /// Name of the material in the file; all materials of the object where absent.
+        material: Option<String>,
+        /// Linear RGB, each in 0..=1.
+        factor: Vec3,
+    },
     /// Takes objects out of the light, with the lights on them. They keep their names, places and materials.
     Hide {
         /// Names of objects; a name with `*` matches any part of a name. Those that are hidden stay so.

@@ -484,6 +484,9 @@ export interface ObjectPage {
   next_cursor?: string | null;
 }
 
+/** What becomes of textures and vertex colours where a material is painted. */
+export type PaintedTexture = "replace" | "multiply";
+
 /** Shines in all directions. */
 export interface PointLight {
   kind: "point";
@@ -638,6 +641,7 @@ export interface Repaint {
   material?: string | null;
   /** Diffuse albedo, linear RGB, each 0 to 1. */
   albedo: number[];
+  texture?: PaintedTexture | null;
   budget?: Budget | null;
   focus?: Focus | null;
   tiles?: Tiles | null;

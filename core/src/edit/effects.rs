@@ -28,6 +28,10 @@ pub enum Property<'a> {
     Albedo,
     /// The albedo of one material of an object, by its name.
     AlbedoOf(&'a str),
+    /// The base colour factor of all materials of an object, or of a material.
+    Factor,
+    /// The base colour factor of one material of an object, by its name.
+    FactorOf(&'a str),
     /// Whether an object is hidden.
     Visibility,
     /// Colour and intensity of a light.
@@ -119,6 +123,16 @@ impl Edit {
             Edit::NamedMaterial { object: Some(object), material, .. } => {
                 vec![Effect::Sets(Thing::Object(object), Property::AlbedoOf(material))]
             }
+            Edit::Tint { object: Some(object), material: None, .. } => {
+                vec![Effect::Sets(Thing::Object(object), Property::Factor)]
+            }
+            Edit::Tint { object: Some(object), material: Some(material), .. } => {
+                vec![Effect::Sets(Thing::Object(object), Property::FactorOf(material))]
+            }
+            Edit::Tint { object: None, material, .. } => {
+                let material = material.as_deref().unwrap_or_default();
+                vec![Effect::Sets(Thing::Material(material), Property::Factor)]
+            }
             Edit::Hide { objects } | Edit::Show { objects } => {
                 let sets = objects.iter().map(|name| Effect::Sets(Thing::Object(name), Property::Visibility));
                 sets.chain([Effect::LightsComeOrGo]).collect()
@@ -153,6 +167,7 @@ impl Edit {
             | Edit::Move { .. }
             | Edit::Material { .. }
             | Edit::NamedMaterial { .. }
+            | Edit::Tint { .. }
             | Edit::Hide { .. }
             | Edit::Show { .. } => Cost::Surfaces,
             Edit::Restore(restore) => restore.cost(),
@@ -174,6 +189,7 @@ impl Edit {
             | Edit::Move { .. }
             | Edit::Material { .. }
             | Edit::NamedMaterial { .. }
+            | Edit::Tint { .. }
             | Edit::InsertLight { .. }
             | Edit::Sky { .. }
             | Edit::RemoveLight { .. }
@@ -207,6 +223,7 @@ impl Edit {
                 | Edit::Move { .. }
                 | Edit::Material { .. }
                 | Edit::NamedMaterial { .. }
+                | Edit::Tint { .. }
                 | Edit::Hide { .. }
                 | Edit::Show { .. }
                 | Edit::Restore(_)
@@ -229,7 +246,7 @@ impl Edit {
             Edit::Remove { objects } | Edit::Hide { objects } | Edit::Show { objects } => {
                 keep(objects, |name| !is_object(name))
             }
-            Edit::NamedMaterial { object, .. } => !object.as_deref().is_some_and(is_object),
+            Edit::NamedMaterial { object, .. } | Edit::Tint { object, .. } => !object.as_deref().is_some_and(is_object),
             Edit::Restore(restore) => return restore.without(thing).map(|left| Edit::Restore(left.into())),
             Edit::Relight { lights } => keep(lights, |one| !is_light(&one.light)),
             Edit::GroupLights { lights, .. } => keep(lights, |name| !is_light(name)),

@@ -104,6 +104,7 @@ impl Draft {
             Edit::NamedMaterial { object, material, albedo } => {
                 self.repaint_named(object.as_deref(), material, *albedo)
             }
+            Edit::Tint { object, material, factor } => self.tint(object.as_deref(), material.as_deref(), *factor),
             Edit::Hide { objects } => self.set_hidden(objects, true),
             Edit::Show { objects } => self.set_hidden(objects, false),
             Edit::Restore(restore) => self.restore(restore),

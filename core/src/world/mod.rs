@@ -26,6 +26,7 @@ mod same;
 #[cfg(test)]
 mod sharing;
 mod sight;
+mod tint;
 mod transition;
 mod trees;
 mod validity;

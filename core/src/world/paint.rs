@@ -25,24 +25,37 @@ impl Draft {
         material: &str,
         albedo: Vec3,
     ) -> Result<(), EditError> {
-        let only = object.map(|name| self.object_index(name)).transpose()?;
+        let found = self.materials_of(object, Some(material))?;
         check_albedo(albedo)?;
+        found.into_iter().try_for_each(|(index, materials)| self.paint(index, |k| materials.contains(&k), albedo))
+    }
+
+    /// Objects with which of their materials are meant: those of a name, of one object or of all, or all of an object.
+    pub(super) fn materials_of(
+        &self,
+        object: Option<&str>,
+        material: Option<&str>,
+    ) -> Result<Vec<(usize, Vec<usize>)>, EditError> {
+        let only = object.map(|name| self.object_index(name)).transpose()?;
+        let objects = &self.world.scene.objects;
+        let Some(material) = material else {
+            let only = only.ok_or_else(|| invalid("object", "neither it nor a material is given"))?;
+            return Ok(vec![(only, (0..objects[only].materials.len()).collect())]);
+        };
         let is_named = |name: &Arc<str>| !material.is_empty() && **name == *material;
-        let objects = self.world.scene.objects.iter().enumerate();
-        let found = objects.filter(|(index, object)| {
-            only.is_none_or(|only| only == *index) && object.material_names.iter().any(is_named)
-        });
-        let found: Vec<usize> = found.map(|(index, _)| index).collect();
+        let meant = |object: &Object| -> Vec<usize> {
+            let names = object.material_names.iter().enumerate();
+            names.filter(|(_, name)| is_named(name)).map(|(k, _)| k).collect()
+        };
+        let found = objects.iter().enumerate().filter(|(index, _)| only.is_none_or(|only| only == *index));
+        let found = found.map(|(index, object)| (index, meant(object))).filter(|(_, meant)| !meant.is_empty());
+        let found: Vec<_> = found.collect();
         if found.is_empty() {
             let of = object.map_or_else(|| "no object has a".to_owned(), |object| format!("{object:?} has no"));
             let reason = format!("{of} material named {material:?}");
             return Err(error("material", reason, EditErrorKind::NotFound));
         }
-        for index in found {
-            let names = self.world.scene.objects[index].material_names.clone();
-            self.paint(index, |k| names.get(k).is_some_and(is_named), albedo)?;
-        }
-        Ok(())
+        Ok(found)
     }
 
     /// Those materials of an object that `is_painted` says yes to.
@@ -85,7 +98,7 @@ impl Draft {
     }
 }
 
-fn check_albedo(albedo: Vec3) -> Result<(), EditError> {
+pub(super) fn check_albedo(albedo: Vec3) -> Result<(), EditError> {
     if !albedo.is_finite() || albedo.cmplt(Vec3::ZERO).any() || albedo.cmpgt(Vec3::ONE).any() {
         return Err(invalid("albedo", "must hold three numbers from 0 to 1"));
     }

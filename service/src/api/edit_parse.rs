@@ -5,7 +5,7 @@ use serde_json::Value;
 
 use super::checks::check_name;
 use super::edit_lights;
-use super::edit_types::{Budget, EditList, EditOp, EditRequest, Focus, Repaint, SingleEdit, Tiles};
+use super::edit_types::{Budget, EditList, EditOp, EditRequest, Focus, PaintedTexture, Repaint, SingleEdit, Tiles};
 use super::misread::{FromFields, Misread, join};
 use super::problem::{ApiResult, Kind, Problem};
 use super::skies;
@@ -166,10 +166,13 @@ fn repaint(paint: &Repaint, path: &str) -> ApiResult<Edit> {
             let reason = "is empty: materials without a name are painted with their object";
             Err(invalid(path, "material", reason))
         }
+        (None, None) => Err(invalid(path, "object", "neither it nor `material` is given")),
+        (object, material) if paint.texture == Some(PaintedTexture::Multiply) => {
+            Ok(Edit::Tint { object: object.clone(), material: material.clone(), factor: albedo })
+        }
         (object, Some(material)) => {
             Ok(Edit::NamedMaterial { object: object.clone(), material: material.clone(), albedo })
         }
         (Some(object), None) => Ok(Edit::Material { object: object.clone(), albedo }),
-        (None, None) => Err(invalid(path, "object", "neither it nor `material` is given")),
     }
 }

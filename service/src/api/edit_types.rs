@@ -180,6 +180,20 @@ pub struct Repaint {
     /// Diffuse albedo, linear RGB, each 0 to 1.
     #[schema(example = json!([0.6, 0.1, 0.1]))]
     pub albedo: [f32; 3],
+    /// What becomes of the file's textures and vertex colours; `replace` where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub texture: Option<PaintedTexture>,
+}
+
+/// What becomes of textures and vertex colours where a material is painted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum PaintedTexture {
+    /// They are painted over: the albedo is the same all over.
+    Replace,
+    /// They stay, and the albedo multiplies them instead of the file's base colour factor. Where an earlier edit has
+    /// painted over them, the albedo is the same all over.
+    Multiply,
 }
 
 /// Takes objects out of the light, with the lights on them. They stay in the list and keep their names, places and

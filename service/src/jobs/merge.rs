@@ -76,7 +76,8 @@ fn absorb(before: &mut [Option<Edit>], edit: &Edit) -> Option<Edit> {
 /// be.
 fn is_replaced(property: Property<'_>) -> bool {
     match property {
-        Property::Transform | Property::Albedo | Property::AlbedoOf(_) | Property::Strength => true,
+        Property::Transform | Property::Strength => true,
+        Property::Albedo | Property::AlbedoOf(_) | Property::Factor | Property::FactorOf(_) => true,
         // Hidden lights keep their names.
         Property::Visibility | Property::Group => false,
     }
@@ -137,8 +138,8 @@ mod tests {
     /// What the edits do, as far as they can meddle with each other.
     #[derive(Clone, Debug, Default, PartialEq)]
     struct Model {
-        /// Place, wood and steel, and whether it is hidden.
-        objects: BTreeMap<String, (DMat4, [Vec3; 2], bool)>,
+        /// Place, wood and steel with whether they are painted over, and whether it is hidden.
+        objects: BTreeMap<String, (DMat4, [(Vec3, bool); 2], bool)>,
         lights: BTreeMap<String, (Vec3, f32, DVec3, Option<String>)>,
     }
 
@@ -147,7 +148,7 @@ mod tests {
         fn apply(mut self, edit: &Edit) -> Option<Model> {
             match edit {
                 Edit::Insert { name, transform, .. } => {
-                    if self.objects.insert(name.clone(), (*transform, [Vec3::ONE; 2], false)).is_some() {
+                    if self.objects.insert(name.clone(), (*transform, [(Vec3::ONE, false); 2], false)).is_some() {
                         return None;
                     }
                 }
@@ -161,13 +162,27 @@ mod tests {
                     }
                 }
                 Edit::Move { object, transform } => self.objects.get_mut(object)?.0 = *transform,
-                Edit::Material { object, albedo } => self.objects.get_mut(object)?.1 = [*albedo; 2],
+                Edit::Material { object, albedo } => self.objects.get_mut(object)?.1 = [(*albedo, true); 2],
                 Edit::NamedMaterial { object, material, albedo } => {
                     let index = usize::from(material == "steel");
                     match object {
-                        Some(object) => self.objects.get_mut(object)?.1[index] = *albedo,
+                        Some(object) => self.objects.get_mut(object)?.1[index] = (*albedo, true),
                         None if self.objects.is_empty() => return None,
-                        None => self.objects.values_mut().for_each(|object| object.1[index] = *albedo),
+                        None => self.objects.values_mut().for_each(|object| object.1[index] = (*albedo, true)),
+                    }
+                }
+                Edit::Tint { object, material, factor } => {
+                    let which = material.as_deref().map_or(0..2, |material| match material {
+                        "steel" => 1..2,
+                        _ => 0..1,
+                    });
+                    let tint = |materials: &mut [(Vec3, bool); 2]| {
+                        materials[which.clone()].iter_mut().for_each(|material| material.0 = *factor);
+                    };
+                    match object {
+                        Some(object) => tint(&mut self.objects.get_mut(object)?.1),
+                        None if self.objects.is_empty() => return None,
+                        None => self.objects.values_mut().for_each(|object| tint(&mut object.1)),
                     }
                 }
                 Edit::Hide { objects } | Edit::Show { objects } => {
@@ -219,7 +234,10 @@ mod tests {
         let transform = DMat4::from_translation(DVec3::splat(f64::from(number)));
         let asset = || Arc::new(Scene::from_objects(Vec::new()));
         let material = ["wood", "steel"][dice.roll(2) as usize].to_owned();
-        match dice.roll(15) {
+        match dice.roll(18) {
+            15 => Edit::Tint { object: Some(object), material: None, factor: Vec3::splat(number) },
+            16 => Edit::Tint { object: Some(object), material: Some(material), factor: Vec3::splat(number) },
+            17 => Edit::Tint { object: None, material: Some(material), factor: Vec3::splat(number) },
             10 => Edit::Sky { kind: LightKind::Environment, color: Vec3::ONE, intensity: number },
             11 => Edit::Hide { objects: vec![format!("{object}*")] },
             12 => Edit::Show { objects: vec![object] },

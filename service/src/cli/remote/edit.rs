@@ -159,6 +159,10 @@ mod tests {
                 "material --material wood --albedo 1,0,0",
                 json!({"op": "material", "material": "wood", "albedo": [1.0, 0.0, 0.0]}),
             ),
+            (
+                "material sofa --albedo 1,0,0 --multiply",
+                json!({"op": "material", "object": "sofa", "albedo": [1.0, 0.0, 0.0], "texture": "multiply"}),
+            ),
             ("hide a b-*", json!({"op": "hide", "objects": ["a", "b-*"]})),
             ("show a", json!({"op": "show", "objects": ["a"]})),
             ("undo", json!({"op": "undo"})),

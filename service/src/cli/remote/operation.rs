@@ -45,6 +45,9 @@ pub(super) enum Operation {
         /// Diffuse albedo: linear RGB, or 8-bit sRGB as #rrggbb
         #[arg(long, value_name = "R,G,B", value_parser = albedo)]
         albedo: Rgb,
+        /// Multiply the file's textures and vertex colours by it, instead of its base colour factor
+        #[arg(long)]
+        multiply: bool,
     },
     /// Take objects out of the light, to come back later
     Hide {
@@ -226,10 +229,11 @@ impl Operation {
             Operation::Move { object, place } => {
                 json!({"op": "move", "object": object, "transform": place.matrix()})
             }
-            Operation::Material { object, material, albedo } => {
+            Operation::Material { object, material, albedo, multiply } => {
                 let mut edit = json!({"op": "material", "albedo": albedo.0});
                 set(&mut edit, "object", object.as_ref().map(|name| json!(name)));
                 set(&mut edit, "material", material.as_ref().map(|name| json!(name)));
+                set(&mut edit, "texture", multiply.then(|| json!("multiply")));
                 edit
             }
             Operation::Hide { objects } => json!({"op": "hide", "objects": objects}),

@@ -100,9 +100,11 @@ impl Surface<'_> {
             _ => Some(factor.truncate()),
         };
         if at_upload.is_some_and(|color| color.clamp(Vec3::ZERO, Vec3::ONE) == albedo) {
-            // What lies outside by rounding was mended when it was read.
-            if factor.clamp(Vec4::ZERO, Vec4::ONE) != factor {
-                base.insert(factor_key.to_owned(), numbers(factor.clamp(Vec4::ZERO, Vec4::ONE).to_array()));
+            // What lies outside by rounding was mended when it was read; an edit may have tinted the texture.
+            let tinted = self.look().filter(|look| look.base_color.is_some()).map(|look| look.factor.extend(factor.w));
+            let kept = tinted.unwrap_or(factor).clamp(Vec4::ZERO, Vec4::ONE);
+            if kept != factor {
+                base.insert(factor_key.to_owned(), numbers(kept.to_array()));
             }
             json.retain(|_, value| !value.as_object().is_some_and(Map::is_empty));
             return;

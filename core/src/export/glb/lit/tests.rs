@@ -299,6 +299,19 @@ fn edits_are_in_the_file() {
 }
 
 #[test]
+fn what_is_tinted_keeps_its_texture() {
+    let file = house();
+    let first = world(&file);
+    let tint = Edit::Tint { object: None, material: Some("Wood".into()), factor: Vec3::new(0.1, 0.2, 0.3) };
+    let tinted = edited(&first, &[tint]);
+    for written in &written(&tinted, &of(&file), false) {
+        let base = material(&document(written).0, "Wood")["pbrMetallicRoughness"].clone();
+        assert_eq!(base["baseColorFactor"], numbers([0.1, 0.2, 0.3, 1.0]));
+        assert!(base["baseColorTexture"].is_object(), "{base}");
+    }
+}
+
+#[test]
 fn lights_that_move_and_change_are_written_so() {
     let file = house();
     let first = world(&file);
