@@ -169,6 +169,39 @@ fn glass_lets_light_through_by_its_pictures() {
     }
 }
 
+/// A pane sends out what it emits as far as it is there: what goes through takes nothing of that. Baked, where light is
+/// aimed at, and path traced, where rays meet it by chance as well.
+#[test]
+fn panes_shine_as_much_as_they_are_there() {
+    let mean = |look: Option<Look>| {
+        let mut panel =
+            Object::new("panel", sheet(1.0, 1.0).inside_out(), Material::emissive(Vec3::new(2.0, 1.0, 0.5)));
+        panel.looks = look.map(|look| Some(Arc::new(look))).into_iter().collect();
+        let world = lit(vec![floor(), panel], [], 0.1);
+        let map = bake(&world, &budget(64), 1, &Unobserved).expect("nobody cancels");
+        let slots = slots_of(&world, "floor");
+        let ids: Vec<u32> = slots.clone().map(|slot| slot as u32).collect();
+        let traced = path_trace(&world, &ids, 1024, 1, &Unobserved).expect("nobody cancels").0;
+        let count = ids.len() as f32;
+        let baked: Vec3 = slots.map(|slot| map.light.direct[slot]).sum();
+        [baked / count, traced.iter().map(|value| value.direct).sum::<Vec3>() / count]
+    };
+    let [baked, traced] = mean(None);
+    assert!((traced / baked - 1.0).abs().max_element() < 0.02, "{traced} {baked}");
+    let tint = Vec3::new(0.2, 0.5, 1.0);
+    for (name, look, there) in [
+        ("milky glass", glass(Vec3::ONE, 0.5), 1.0),
+        ("tinted glass", glass(tint, 0.75), 1.0),
+        ("a veil", blend(0.5), 0.5),
+        ("a veil of milky glass", Look { transmission: 0.5, ..blend(0.5) }, 0.5),
+    ] {
+        for (found, (what, tolerance)) in mean(Some(look)).into_iter().zip([("baked", 1e-3), ("traced", 0.04)]) {
+            let ratio = found / (baked * there);
+            assert!((ratio - 1.0).abs().max_element() < tolerance, "{name}, {what}: {ratio}");
+        }
+    }
+}
+
 /// Shadows of a cut-out are those of its texels, whatever the texture's place.
 #[test]
 fn cut_outs_are_exact_to_the_texel() {

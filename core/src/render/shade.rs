@@ -82,9 +82,10 @@ impl<'a> Shading<'a> {
                 return sum + left * sky;
             };
             let passage = self.world.trees.passage(&hit);
-            let opacity = passage.map_or(1.0, |passage| passage.opacity);
-            if opacity > 0.0 {
-                sum += left * opacity * self.surface(&there, &hit, k, sequences, rng);
+            let (opacity, covered) = passage.map_or((1.0, 1.0), |passage| (passage.opacity, passage.covered));
+            if covered > 0.0 {
+                let (emitted, reflected) = self.surface(&there, &hit, k, sequences, rng);
+                sum += left * (covered * emitted + opacity * reflected);
             }
             left *= passage.map_or(Vec3::ZERO, Passage::transmittance);
             if left == Vec3::ZERO {
@@ -95,20 +96,23 @@ impl<'a> Shading<'a> {
         sum
     }
 
-    /// What a surface sends along the ray that met it.
-    fn surface(&self, ray: &Ray, hit: &Hit, k: u32, sequences: &[R2], rng: &mut Pcg32) -> Vec3 {
-        let Some(surfel) = Surfel::to_look_up(self.world, ray, hit, &mut 0) else { return Vec3::ZERO };
+    /// What a surface sends along the ray that met it: what it emits, and what it reflects.
+    fn surface(&self, ray: &Ray, hit: &Hit, k: u32, sequences: &[R2], rng: &mut Pcg32) -> (Vec3, Vec3) {
+        let Some(surfel) = Surfel::to_look_up(self.world, ray, hit, &mut 0) else { return (Vec3::ZERO, Vec3::ZERO) };
         let mut emission = self.emission[surfel.part as usize];
         if let Some(picture) = self.pictures.get(&surfel.part).filter(|_| emission != Vec3::ZERO) {
             emission *= picture.at(hit);
         }
         match self.view {
             View::Full => {
-                emission + surfel.albedo * (self.direct(&surfel, k, sequences, rng) + self.indirect(&surfel, rng))
+                let light = self.direct(&surfel, k, sequences, rng) + self.indirect(&surfel, rng);
+                (emission, surfel.albedo * light)
             }
-            View::Direct => emission + surfel.albedo * self.direct(&surfel, k, sequences, rng),
-            View::Indirect => surfel.albedo * self.indirect(&surfel, rng),
-            View::LightMap => surfel.footprint.map_or(Vec3::ZERO, |footprint| footprint.interpolate(&self.totals)),
+            View::Direct => (emission, surfel.albedo * self.direct(&surfel, k, sequences, rng)),
+            View::Indirect => (Vec3::ZERO, surfel.albedo * self.indirect(&surfel, rng)),
+            View::LightMap => {
+                (Vec3::ZERO, surfel.footprint.map_or(Vec3::ZERO, |footprint| footprint.interpolate(&self.totals)))
+            }
         }
     }
 

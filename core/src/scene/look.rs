@@ -60,6 +60,8 @@ pub(crate) struct Through {
 /// What happens to light that meets a surface at a place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Passage {
+    /// Share of the place that is surface, 0..=1: as much of what it emits it sends out.
+    pub covered: f32,
     /// Share that does not go through, 0..=1: it is reflected as the albedo says.
     pub opacity: f32,
     /// What is left of the rest behind the surface, linear RGB, each 0..=1.
@@ -117,12 +119,16 @@ impl Look {
     pub fn is_clear(&self) -> bool {
         let is_white = self.factor == Vec3::ONE && self.base_color.is_none();
         let is_thin = self.thickness == 0.0 || self.absorption == Vec3::ZERO;
-        let is_gone = match self.alpha_mode {
+        self.is_gone() || self.transmission >= 1.0 && self.transmission_texture.is_none() && is_white && is_thin
+    }
+
+    /// Whether alpha leaves nothing of it, whatever the mesh.
+    pub fn is_gone(&self) -> bool {
+        match self.alpha_mode {
             AlphaMode::Opaque => false,
             AlphaMode::Mask(cutoff) => self.alpha < cutoff,
             AlphaMode::Blend => self.alpha == 0.0,
-        };
-        is_gone || self.transmission >= 1.0 && self.transmission_texture.is_none() && is_white && is_thin
+        }
     }
 
     /// Whether no light goes through a triangle, given by the mesh's texture coordinates of each set, with these alphas of
@@ -167,14 +173,14 @@ impl Look {
     pub(crate) fn passage(&self, uv: Vec2, color: Vec4, Through { share, volume }: Through) -> Passage {
         let covered = self.coverage(uv, color.w);
         if share <= 0.0 {
-            return Passage { opacity: covered, tint: Vec3::ONE };
+            return Passage { covered, opacity: covered, tint: Vec3::ONE };
         }
         let texture = self.base_color.as_ref().map_or(Vec3::ONE, |texture| texel(texture, uv).color);
         let base = (self.factor * texture * color.truncate()).clamp(Vec3::ZERO, Vec3::ONE);
         let (opacity, through) = (covered * (1.0 - share), covered * share);
         let behind = Vec3::splat(1.0 - covered) + base * volume * through;
         let tint = if opacity < 1.0 { (behind / (1.0 - opacity)).min(Vec3::ONE) } else { Vec3::ONE };
-        Passage { opacity, tint }
+        Passage { covered, opacity, tint }
     }
 
     /// Share of a place that is surface.

@@ -99,13 +99,16 @@ impl Emitter {
     /// does not shine there, or not to that side.
     #[inline]
     pub fn found(&self, ray: &Ray, hit: &Hit, face: u32) -> Option<(Vec3, f32)> {
-        let Shape::Surface { triangles, double_sided, .. } = &self.shape else { return None };
+        let Shape::Surface { triangles, double_sided, see_through, .. } = &self.shape else { return None };
         let (tint, known) = self.met(hit, face)?;
         if hit.normal.dot(ray.direction) >= 0.0 && !double_sided {
             return None;
         }
         let which = || known.or_else(|| triangles.binary_search_by_key(&face, |triangle| triangle.face).ok());
-        Some((self.strength * tint, self.pdf(ray, hit, which)))
+        // Where light goes through, a ray meets less of the surface by chance than is there to shine.
+        let passage = see_through.as_ref().and_then(|see_through| see_through.at(face as usize, [hit.u, hit.v]));
+        let there = passage.filter(|passage| passage.opacity > 0.0).map_or(1.0, |p| p.covered / p.opacity);
+        Some((self.strength * tint * there, self.pdf(ray, hit, which)))
     }
 }
 

@@ -99,7 +99,7 @@ impl<'a> Chance<'a> {
 impl Filter for Chance<'_> {
     #[inline]
     fn passes(&mut self, id: u32, t: f32, place: impl FnOnce() -> [f32; 2]) -> bool {
-        let Some(Passage { opacity, tint }) = self.openings.at(id, place) else { return false };
+        let Some(Passage { opacity, tint, .. }) = self.openings.at(id, place) else { return false };
         let passes = opacity <= 0.0 || opacity < 1.0 && self.draw(t) >= opacity;
         self.is_tinted |= passes && tint != Vec3::ONE;
         passes
@@ -112,7 +112,7 @@ pub(super) struct Places<'a>(pub(super) &'a Openings);
 impl Filter for Places<'_> {
     #[inline]
     fn passes(&mut self, id: u32, _: f32, place: impl FnOnce() -> [f32; 2]) -> bool {
-        self.0.at(id, place).is_some_and(|passage| passage.opacity <= 0.0 && passage.tint == Vec3::ONE)
+        self.0.at(id, place).is_some_and(|passage| passage.covered <= 0.0)
     }
 }
 

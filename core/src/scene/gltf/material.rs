@@ -48,6 +48,8 @@ pub(super) struct Materials<'f> {
 
 /// Albedo of a texture that is not there, linear.
 const MID_GREY: f32 = 0.5;
+/// Transmission of what shines: paths that meet it by chance have to meet it now and then.
+const MOST_BESIDE_EMISSION: f32 = 0.999;
 /// How far factors may lie outside 0..=1 by rounding.
 const ROUNDING: f32 = 1e-3;
 
@@ -143,7 +145,11 @@ impl<'f> Materials<'f> {
         let mut factor = color * intensity;
         // By what the file says, so that it is the same whether pictures are decoded or not.
         let has_picture = json.extensions.as_ref().and_then(|e| e.transmission.as_ref()?.transmission_texture.as_ref());
-        let is_clear = look.is_clear() && has_picture.is_none();
+        let shines = factor != Vec3::ZERO && !look.is_gone();
+        let is_clear = look.is_clear() && has_picture.is_none() && !shines;
+        if shines {
+            look.transmission = look.transmission.min(MOST_BESIDE_EMISSION);
+        }
         let mut emissive = None;
         if is_clear {
             warnings.add("materials that let all light through are left out", &place);

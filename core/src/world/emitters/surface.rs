@@ -207,7 +207,8 @@ impl EmissiveTriangle {
     }
 }
 
-/// What a place of a triangle sends out of unit strength, linear RGB: what its facet shows, and as much of it as is opaque.
+/// What a place of a triangle sends out of unit strength, linear RGB: what its facet shows, and as much of it as is there.
+/// What goes through a pane adds to that and takes nothing of it.
 #[inline(never)]
 pub(super) fn sent_at(
     triangle: &EmissiveTriangle,
@@ -216,10 +217,10 @@ pub(super) fn sent_at(
     point: Vec3,
 ) -> Vec3 {
     let facet = facets.map(|facets| &facets.list()[index]);
-    let opacity = see_through.map_or(1.0, |see_through| {
+    let covered = see_through.map_or(1.0, |see_through| {
         let weights = barycentrics(point, triangle.corners);
         let place = facet.map_or([weights[1], weights[2]], |facet| facet.place(weights));
-        see_through.at(triangle.face as usize, place).map_or(1.0, |passage| passage.opacity)
+        see_through.at(triangle.face as usize, place).map_or(1.0, |passage| passage.covered)
     });
-    facet.map_or(Vec3::ONE, |facet| facet.color) * opacity
+    facet.map_or(Vec3::ONE, |facet| facet.color) * covered
 }

@@ -343,3 +343,24 @@ fn glass_is_read_with_its_pictures() {
     assert!(look.thickness_texture.is_none() && (look.thickness - 0.35).abs() < 1e-4, "{look:?}");
     assert!(glass(0, "[1, 1, 1]").objects[0].looks[0].as_ref().unwrap().thickness_texture.is_none());
 }
+
+/// Light goes through clear glass as if it were not there; what it emits is there all the same.
+#[test]
+fn glass_that_shines_is_a_light() {
+    let glass = |emissive: &str| {
+        let extensions = "\"extensions\": {\"KHR_materials_transmission\": {\"transmissionFactor\": 1}}";
+        let strength = ",\n    \"extensions\": {\"KHR_materials_emissive_strength\": {\"emissiveStrength\": 3}}";
+        load(&edited(&[
+            ("\"doubleSided\": true", extensions),
+            (strength, ""),
+            ("[0.5, 0.25, 0.125, 1]", "[1, 1, 1, 1]"),
+            ("\"emissiveFactor\": [1, 0.5, 0]", emissive),
+        ]))
+        .unwrap()
+    };
+    let clear = glass("\"emissiveFactor\": [0, 0, 0]");
+    assert!(clear.objects[0].mesh.triangles.is_empty() && clear.lights.len() == 1);
+    let bulb = glass("\"emissiveFactor\": [1, 0.5, 0]");
+    assert_eq!((bulb.objects[0].mesh.triangles.len(), bulb.lights.len()), (2, 2));
+    assert_eq!(bulb.lights[0].strength(), Vec3::new(1.0, 0.5, 0.0));
+}
