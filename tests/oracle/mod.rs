@@ -7,6 +7,7 @@ mod enclosures;
 mod focus;
 mod hard_cases;
 mod layers;
+mod panes;
 mod paper;
 mod path;
 mod plates;

@@ -13,22 +13,22 @@ use super::edits::check;
 use super::scenes::{crate_at, room_objects, world};
 use super::statistics::{Estimate, area_mean, assert_agrees, replicate};
 
-fn budget(samples: u32) -> Budget {
+pub(super) fn budget(samples: u32) -> Budget {
     Budget { samples_per_element: samples, target_rmse: None }
 }
 
 /// An object all of one look, seen from both sides.
-fn of_look(name: &str, mesh: Mesh, look: Look) -> Object {
+pub(super) fn of_look(name: &str, mesh: Mesh, look: Look) -> Object {
     let mut object = Object::new(name, mesh, Material::diffuse(look.factor.min(Vec3::splat(0.6))).double_sided());
     object.looks = vec![Some(Arc::new(look))];
     object
 }
 
-fn blend(alpha: f32) -> Look {
+pub(super) fn blend(alpha: f32) -> Look {
     Look { alpha, alpha_mode: AlphaMode::Blend, ..Look::plain(Vec3::splat(0.5)) }
 }
 
-fn glass(factor: Vec3, transmission: f32) -> Look {
+pub(super) fn glass(factor: Vec3, transmission: f32) -> Look {
     Look { transmission, ..Look::plain(factor) }
 }
 
@@ -40,33 +40,33 @@ fn chequered(n: u32, use_of: impl Fn(Arc<Texture>) -> TextureUse) -> Look {
     Look { alpha_mode: AlphaMode::Mask(0.5), base_color: Some(use_of(texture)), ..Look::plain(Vec3::splat(0.5)) }
 }
 
-fn plainly(texture: Arc<Texture>) -> TextureUse {
+pub(super) fn plainly(texture: Arc<Texture>) -> TextureUse {
     TextureUse { texture, texcoord: 0, linear: Mat2::IDENTITY, offset: Vec2::ZERO, wrap: [Wrap::Repeat; 2] }
 }
 
 /// A horizontal square of side `size` around the y axis; its texture coordinates go from 0 to 1.
-fn sheet(y: f32, size: f32) -> Mesh {
+pub(super) fn sheet(y: f32, size: f32) -> Mesh {
     let half = 0.5 * size;
     let mut mesh = Mesh::quad(Vec3::new(-half, y, -half), Vec3::Z * size, Vec3::X * size);
     mesh.texcoords[0] = mesh.positions.iter().map(|p| Vec2::new(p.x + half, p.z + half) / size).collect();
     mesh
 }
 
-fn sun() -> Light {
+pub(super) fn sun() -> Light {
     let kind = LightKind::Directional { direction: Vec3::NEG_Y, angle: 0.0 };
     Light { name: "sun".into(), kind, color: Vec3::ONE, intensity: std::f32::consts::PI }
 }
 
-fn lit(objects: Vec<Object>, lights: impl IntoIterator<Item = Light>, spacing: f32) -> World {
+pub(super) fn lit(objects: Vec<Object>, lights: impl IntoIterator<Item = Light>, spacing: f32) -> World {
     let scene = lights.into_iter().fold(Scene::from_objects(objects), Scene::with_light);
     World::new(scene, &WorldOptions { spacing: Some(spacing), ..WorldOptions::default() }).expect("a test scene")
 }
 
-fn floor() -> Object {
+pub(super) fn floor() -> Object {
     Object::new("floor", sheet(0.0, 0.4), Material::diffuse(Vec3::ZERO))
 }
 
-fn slots_of(world: &World, name: &str) -> std::ops::Range<usize> {
+pub(super) fn slots_of(world: &World, name: &str) -> std::ops::Range<usize> {
     let object = world.objects().find(|object| object.name == name).expect("an object");
     object.first_element as usize..(object.first_element + object.element_count) as usize
 }
@@ -119,86 +119,6 @@ fn direct_light_is_scaled_by_what_goes_through() {
         let away = there.after.apply(&[Edit::Remove { objects: vec!["pane".into()] }]).expect("a removal");
         let map = update(&away, &map, &budget(8), None, 1, &Unobserved).expect("nobody cancels");
         is_left(&map, &away.after, Vec3::ONE, "removed");
-    }
-}
-
-/// The red of one picture is the share that goes through, the green of another the depth of the volume: exactly, by
-/// place, each by texture coordinates of its own.
-#[test]
-fn glass_lets_light_through_by_its_pictures() {
-    // Of 2 × 1 texels.
-    let picture = |left: [u8; 4], right: [u8; 4], set: usize| {
-        let texture = Texture::of_numbers(2, 1, &[left, right].concat(), 1 << 20);
-        Some(TextureUse { texcoord: set, wrap: [Wrap::Clamp; 2], ..plainly(Arc::new(texture)) })
-    };
-    let tint = Vec3::new(0.2, 0.5, 1.0);
-    let absorption = Vec3::new(1.0, 4.0, 0.0);
-    let shares = picture([0, 255, 255, 255], [51, 0, 0, 0], 1);
-    let depths = picture([255, 51, 0, 255], [0, 255, 0, 0], 0);
-    let deep = Look { absorption, thickness: 0.25, ..glass(tint, 0.5) };
-    let volume = |depth: f32| (-absorption * 0.25 * depth).exp();
-    let cases = [
-        ("shares", Look { transmission_texture: shares.clone(), ..glass(tint, 0.5) }, [Vec3::ZERO, 0.1 * tint]),
-        (
-            "depths",
-            Look { thickness_texture: depths.clone(), ..deep.clone() },
-            [0.2, 1.0].map(|d| 0.5 * tint * volume(d)),
-        ),
-        (
-            "shares and depths",
-            Look { transmission_texture: shares, thickness_texture: depths, ..deep },
-            [Vec3::ZERO, 0.1 * tint * volume(1.0)],
-        ),
-    ];
-    for (name, look, [left, right]) in cases {
-        let mut mesh = sheet(1.0, 1.0);
-        mesh.texcoords[1] = mesh.texcoords[0].clone();
-        let world = lit(vec![floor(), of_look("pane", mesh, look)], [sun()], 0.05);
-        let map = bake(&world, &budget(8), 1, &Unobserved).expect("nobody cancels");
-        let slots: Vec<u32> = slots_of(&world, "floor").map(|slot| slot as u32).collect();
-        let traced = path_trace(&world, &slots, 16, 1, &Unobserved).expect("nobody cancels").0;
-        for (slot, traced) in slots_of(&world, "floor").zip(traced) {
-            let x = world.positions()[slot].x;
-            if x.abs() > 0.01 {
-                let expected = if x < 0.0 { left } else { right };
-                for found in [map.light.direct[slot], traced.direct] {
-                    assert!((found - expected).abs().max_element() < 1e-5, "{name} at {x}: {found}, {expected}");
-                }
-            }
-        }
-    }
-}
-
-/// A pane sends out what it emits as far as it is there: what goes through takes nothing of that. Baked, where light is
-/// aimed at, and path traced, where rays meet it by chance as well.
-#[test]
-fn panes_shine_as_much_as_they_are_there() {
-    let mean = |look: Option<Look>| {
-        let mut panel =
-            Object::new("panel", sheet(1.0, 1.0).inside_out(), Material::emissive(Vec3::new(2.0, 1.0, 0.5)));
-        panel.looks = look.map(|look| Some(Arc::new(look))).into_iter().collect();
-        let world = lit(vec![floor(), panel], [], 0.1);
-        let map = bake(&world, &budget(64), 1, &Unobserved).expect("nobody cancels");
-        let slots = slots_of(&world, "floor");
-        let ids: Vec<u32> = slots.clone().map(|slot| slot as u32).collect();
-        let traced = path_trace(&world, &ids, 1024, 1, &Unobserved).expect("nobody cancels").0;
-        let count = ids.len() as f32;
-        let baked: Vec3 = slots.map(|slot| map.light.direct[slot]).sum();
-        [baked / count, traced.iter().map(|value| value.direct).sum::<Vec3>() / count]
-    };
-    let [baked, traced] = mean(None);
-    assert!((traced / baked - 1.0).abs().max_element() < 0.02, "{traced} {baked}");
-    let tint = Vec3::new(0.2, 0.5, 1.0);
-    for (name, look, there) in [
-        ("milky glass", glass(Vec3::ONE, 0.5), 1.0),
-        ("tinted glass", glass(tint, 0.75), 1.0),
-        ("a veil", blend(0.5), 0.5),
-        ("a veil of milky glass", Look { transmission: 0.5, ..blend(0.5) }, 0.5),
-    ] {
-        for (found, (what, tolerance)) in mean(Some(look)).into_iter().zip([("baked", 1e-3), ("traced", 0.04)]) {
-            let ratio = found / (baked * there);
-            assert!((ratio - 1.0).abs().max_element() < tolerance, "{name}, {what}: {ratio}");
-        }
     }
 }
 

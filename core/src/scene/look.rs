@@ -131,8 +131,8 @@ impl Look {
         }
     }
 
-    /// Whether no light goes through a triangle, given by the mesh's texture coordinates of each set, with these alphas of
-    /// the mesh's colour at its corners. Holes that are a millionth of it may be overlooked.
+    /// Whether no light goes through a triangle, given by the mesh's texture coordinates of each set, with these alphas
+    /// of the mesh's colour at its corners. Holes that are a millionth of it may be overlooked.
     pub(crate) fn is_opaque_over(&self, texcoords: impl Fn(usize) -> [Vec2; 3], alphas: [f32; 3]) -> bool {
         let least = alphas.into_iter().fold(self.alpha, |least, alpha| least.min(self.alpha * alpha));
         let weight = self.weight_over(&texcoords);
@@ -155,8 +155,8 @@ impl Look {
         self.transmission * texture.map_or(1.0, |texture| texture.mean_over(texcoords(texture.texcoord)).color.x)
     }
 
-    /// How it lets light through at a place, given by texture coordinates of the transmission and of the thickness picture;
-    /// `volume` is what the volume behind leaves of light at its full thickness.
+    /// How it lets light through at a place, given by texture coordinates of the transmission and of the thickness
+    /// picture; `volume` is what the volume behind leaves of light at its full thickness.
     #[inline]
     pub(crate) fn through(&self, [transmission, thickness]: [Vec2; 2], volume: Vec3) -> Through {
         let share = self.transmission_texture.as_ref().map_or(1.0, |texture| texel(texture, transmission).color.x);

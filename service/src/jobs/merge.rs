@@ -135,11 +135,14 @@ mod tests {
     use super::*;
     use crate::engine::{Relight, Scene};
 
+    /// Albedo of a material, and whether it is painted over.
+    type Coat = (Vec3, bool);
+
     /// What the edits do, as far as they can meddle with each other.
     #[derive(Clone, Debug, Default, PartialEq)]
     struct Model {
-        /// Place, wood and steel with whether they are painted over, and whether it is hidden.
-        objects: BTreeMap<String, (DMat4, [(Vec3, bool); 2], bool)>,
+        /// Place, wood and steel, and whether it is hidden.
+        objects: BTreeMap<String, (DMat4, [Coat; 2], bool)>,
         lights: BTreeMap<String, (Vec3, f32, DVec3, Option<String>)>,
     }
 
@@ -176,7 +179,7 @@ mod tests {
                         "steel" => 1..2,
                         _ => 0..1,
                     });
-                    let tint = |materials: &mut [(Vec3, bool); 2]| {
+                    let tint = |materials: &mut [Coat; 2]| {
                         materials[which.clone()].iter_mut().for_each(|material| material.0 = *factor);
                     };
                     match object {

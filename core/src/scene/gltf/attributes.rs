@@ -38,7 +38,7 @@ impl Attributes<'_> {
             }
         };
         require_finite(&positions, &place)?;
-        Ok(self.scaled(Semantic::Positions, "POSITION", positions))
+        Ok(self.scaled(&Semantic::Positions, "POSITION", positions))
     }
 
     /// Normals of any length, perhaps not finite.
@@ -46,7 +46,7 @@ impl Attributes<'_> {
         let place = format!("{}, NORMAL", self.place);
         let Some(index) = self.accessor(Semantic::Normals) else { return Ok(None) };
         let normals = match self.compressed("NORMAL") {
-            Some(draco) => self.scaled(Semantic::Normals, "NORMAL", draco.floats("NORMAL", &place)?),
+            Some(draco) => self.scaled(&Semantic::Normals, "NORMAL", draco.floats("NORMAL", &place)?),
             None => read_vec3(self.file, index, self.max_vertices, &place)?,
         };
         self.checked(normals, count, "normals").map(Some)
@@ -58,7 +58,7 @@ impl Attributes<'_> {
         let place = format!("{}, {name}", self.place);
         let Some(index) = self.accessor(Semantic::TexCoords(set)) else { return Ok(None) };
         let values = match self.compressed(&name) {
-            Some(draco) => self.scaled(Semantic::TexCoords(set), &name, draco.floats(&name, &place)?),
+            Some(draco) => self.scaled(&Semantic::TexCoords(set), &name, draco.floats(&name, &place)?),
             None => read_floats::<2>(self.file, index, self.max_vertices, &place)?,
         };
         self.checked(values, count, "texture coordinates").map(Some)
@@ -80,10 +80,10 @@ impl Attributes<'_> {
         let Some(index) = self.accessor(Semantic::Colors(0)) else { return Ok(None) };
         let colors = match self.compressed("COLOR_0") {
             Some(draco) if draco.components("COLOR_0") == 4 => {
-                self.scaled(Semantic::Colors(0), "COLOR_0", draco.floats::<4>("COLOR_0", &place)?)
+                self.scaled(&Semantic::Colors(0), "COLOR_0", draco.floats::<4>("COLOR_0", &place)?)
             }
             Some(draco) => {
-                let colors = self.scaled(Semantic::Colors(0), "COLOR_0", draco.floats::<3>("COLOR_0", &place)?);
+                let colors = self.scaled(&Semantic::Colors(0), "COLOR_0", draco.floats::<3>("COLOR_0", &place)?);
                 colors.into_iter().map(|[r, g, b]| [r, g, b, 1.0]).collect()
             }
             None => read_colors(self.file, index, self.max_vertices, &place)?,
@@ -113,7 +113,7 @@ impl Attributes<'_> {
         let joints = self.checked(joints, count, "joints")?;
         let place = format!("{}, {weight_name}", self.place);
         let weights = match self.compressed(&weight_name) {
-            Some(draco) => self.scaled(Semantic::Weights(set), &weight_name, draco.floats(&weight_name, &place)?),
+            Some(draco) => self.scaled(&Semantic::Weights(set), &weight_name, draco.floats(&weight_name, &place)?),
             None => read_floats::<4>(self.file, weight_index, self.max_vertices, &place)?,
         };
         require_finite(&weights, &place)?;
@@ -135,9 +135,9 @@ impl Attributes<'_> {
     }
 
     /// Integers that the accessor calls normalised become fractions.
-    fn scaled<const N: usize>(&self, semantic: Semantic, name: &str, mut values: Vec<[f32; N]>) -> Vec<[f32; N]> {
+    fn scaled<const N: usize>(&self, semantic: &Semantic, name: &str, mut values: Vec<[f32; N]>) -> Vec<[f32; N]> {
         let accessor = self.accessor(semantic.clone()).and_then(|index| self.file.root.get(index));
-        let is_fraction = |accessor: &json::Accessor| accessor.normalized || semantic == Semantic::Colors(0);
+        let is_fraction = |accessor: &json::Accessor| accessor.normalized || *semantic == Semantic::Colors(0);
         let component = match accessor.filter(|accessor| is_fraction(accessor) && self.compressed(name).is_some()) {
             Some(json::Accessor { component_type: Checked::Valid(component), .. }) => component.0,
             _ => return values,

@@ -173,7 +173,8 @@ impl<'f> Materials<'f> {
         let mut look = Look { emission: factor, emissive, ..look };
         let first_set = take_first_set(&mut look);
         if look.textures().any(|texture| texture.texcoord > 1) {
-            let text = "textures of sets beyond TEXCOORD_1, of materials that read TEXCOORD_0 or another of them, count with their mean";
+            let text =
+                "where a material reads TEXCOORD_0, its textures of sets beyond TEXCOORD_1 count with their mean";
             warnings.add(text, &place);
         }
         let albedo = self.checked(look.factor * mean, &place, warnings);

@@ -137,7 +137,7 @@ impl<'f> Textures<'f> {
         let name = unread.unwrap_or("no image");
         if self.file.root.extensions_required.iter().any(|required| required == name) {
             let text = format!(
-                "{place}: its {kind} texture needs the extension {name}, which is not supported: PNG, JPEG and WebP are read"
+                "{place}: its {kind} texture needs the extension {name}, which is not supported: save PNG or WebP"
             );
             return Err(LoadError::Unsupported(text));
         }

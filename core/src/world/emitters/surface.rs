@@ -207,8 +207,8 @@ impl EmissiveTriangle {
     }
 }
 
-/// What a place of a triangle sends out of unit strength, linear RGB: what its facet shows, and as much of it as is there.
-/// What goes through a pane adds to that and takes nothing of it.
+/// What a place of a triangle sends out of unit strength, linear RGB: what its facet shows, and as much of it as is
+/// there. What goes through a pane adds to that and takes nothing of it.
 #[inline(never)]
 pub(super) fn sent_at(
     triangle: &EmissiveTriangle,

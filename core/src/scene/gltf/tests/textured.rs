@@ -317,7 +317,8 @@ fn glass_is_read_with_its_pictures() {
     let glass = |set: usize, color: &str| {
         let info = format!("{{\"index\": 0, \"texCoord\": {set}}}");
         let glass = format!(
-            "\"extensions\": {{\"KHR_materials_transmission\": {{\"transmissionFactor\": 1, \"transmissionTexture\": {info}}}, \
+            "\"extensions\": {{\"KHR_materials_transmission\": \
+             {{\"transmissionFactor\": 1, \"transmissionTexture\": {info}}}, \
              \"KHR_materials_volume\": {{\"thicknessFactor\": 0.5, \"thicknessTexture\": {info}, \
              \"attenuationDistance\": 1, \"attenuationColor\": {color}}}}}"
         );
