@@ -24,6 +24,10 @@ COLUMNS = [1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 5, 6, 7, 1]
         (Remove("sofa"), {"op": "remove", "objects": ["sofa"]}),
         (Hide(("a", "b*")), {"op": "hide", "objects": ["a", "b*"]}),
         (Material((0.1, 0.2, 0.3), "sofa"), {"op": "material", "object": "sofa", "albedo": [0.1, 0.2, 0.3]}),
+        (
+            Material((0.1, 0.2, 0.3), material="wood", texture="multiply"),
+            {"op": "material", "material": "wood", "albedo": [0.1, 0.2, 0.3], "texture": "multiply"},
+        ),
         (LightChange("lamp", intensity=2), {"op": "relight", "lights": [{"light": "lamp", "intensity": 2}]}),
         (MoveLight("lamp", np.array([1, 2, 3])), {"op": "move_light", "light": "lamp", "position": [1, 2, 3]}),
         (

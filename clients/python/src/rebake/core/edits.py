@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Union
+from typing import Any, ClassVar, Literal, Union
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -96,11 +96,15 @@ class Move:
 
 @dataclass(frozen=True)
 class Material:
-    """Repaints an object, a material (by name) wherever it is, or that material of that object: diffuse albedo."""
+    """Repaints an object, a material (by name) wherever it is, or that material of that object: diffuse albedo.
+
+    With `texture="multiply"` textures and vertex colours stay and are multiplied by it, else they are painted over.
+    """
 
     albedo: Vector
     object: str | None = None
     material: str | None = None
+    texture: Literal["replace", "multiply"] | None = None
     op: ClassVar[str] = "material"
 
 
