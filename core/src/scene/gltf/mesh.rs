@@ -208,12 +208,12 @@ impl<'f> Meshes<'f> {
         draft.mesh.positions.extend(vertices.positions.into_iter().map(Vec3::from_array));
         draft.mesh.normals.resize(first + count, Vec3::ZERO);
         for set in 0..2 {
-            let values = match material.uses_texcoord(set) {
-                true if set == 0 => attributes.texcoords(self.first_set(material), count)?,
-                true => attributes.texcoords(1, count)?,
+            let of_file = if set == 0 { self.first_set(material) } else { 1 };
+            let is_needed = material.uses_texcoord(set) && (set == 1 || of_file == material.first_set as u32);
+            let values = match is_needed {
+                true => attributes.texcoords(of_file, count)?,
                 // An atlas may use the second set, and does without it where it is of no use.
-                false if set == 1 => attributes.texcoords(1, count).unwrap_or(None),
-                false if self.is_whole => attributes.texcoords(0, count).unwrap_or(None),
+                false if set == 1 || self.is_whole => attributes.texcoords(of_file, count).unwrap_or(None),
                 false => None,
             };
             if values.iter().flatten().flatten().any(|part| !part.is_finite()) {

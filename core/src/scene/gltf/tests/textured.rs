@@ -324,7 +324,9 @@ fn glass_is_read_with_its_pictures() {
         );
         let base = ("\"baseColorTexture\": {\"index\": 0}, \"baseColorFactor\": [0.5, 0.25, 0.125, 1],", "");
         let emissive = ("\"emissiveTexture\": {\"index\": 0}, ", "");
-        load(&textured(bytes.get_ref(), &[base, emissive, ("\"doubleSided\": true", &glass), (strength, "")])).unwrap()
+        let dark = ("\"emissiveFactor\": [1, 0.5, 0]", "\"emissiveFactor\": [0, 0, 0]");
+        let edits = [base, emissive, dark, ("\"doubleSided\": true", &glass), (strength, "")];
+        load(&textured(bytes.get_ref(), &edits)).unwrap()
     };
     let scene = glass(0, "[0.25, 0.25, 0.25]");
     let look = scene.objects[0].looks[0].as_ref().unwrap();
