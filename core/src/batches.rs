@@ -11,8 +11,8 @@ pub(crate) fn shares(samples: u32) -> [u32; BATCHES] {
     std::array::from_fn(|k| samples / BATCHES as u32 + u32::from((k as u32) < samples % BATCHES as u32))
 }
 
-/// Mean of independent batches (samples, their mean), by their samples, and the standard error that their scatter tells,
-/// mean over RGB. Batches without samples do not count; of a single one the error is infinite.
+/// Mean of independent batches (samples, their mean), by their samples, and the standard error that their scatter
+/// tells, mean over RGB. Batches without samples do not count; of a single one the error is infinite.
 pub(crate) fn mean_of(batches: &[(u32, Vec3)]) -> (Vec3, f32) {
     let taken = batches.iter().filter(|(count, _)| *count > 0).count();
     let samples: u32 = batches.iter().map(|(count, _)| count).sum();

@@ -45,8 +45,8 @@ impl Compute {
         run_on(&self.short, false, task).await
     }
 
-    /// Runs a task of milliseconds that only its caller wants, and waits for it without blocking the async thread: one that
-    /// has gone away by the time its turn comes gets nothing done.
+    /// Runs a task of milliseconds that only its caller wants, and waits for it without blocking the async thread: one
+    /// that has gone away by the time its turn comes gets nothing done.
     pub(crate) async fn answer<T, F>(&self, task: F) -> Result<T, Panicked>
     where
         T: Send + 'static,
@@ -55,8 +55,8 @@ impl Compute {
         run_on(&self.short, true, task).await
     }
 
-    /// Runs a task that may take seconds and waits for it without blocking the async thread. A caller that goes away leaves
-    /// the task to its end.
+    /// Runs a task that may take seconds and waits for it without blocking the async thread. A caller that goes away
+    /// leaves the task to its end.
     pub(crate) async fn build<T, F>(&self, task: F) -> Result<T, Panicked>
     where
         T: Send + 'static,
@@ -65,8 +65,8 @@ impl Compute {
         run_on(&self.builds, false, task).await
     }
 
-    /// Draws a picture that only its caller wants: that takes seconds too, and waits for no upload. A caller that has gone
-    /// away by the time its turn comes gets nothing done.
+    /// Draws a picture that only its caller wants: that takes seconds too, and waits for no upload. A caller that has
+    /// gone away by the time its turn comes gets nothing done.
     pub(crate) async fn draw<T, F>(&self, task: F) -> Result<T, Panicked>
     where
         T: Send + 'static,

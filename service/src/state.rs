@@ -45,8 +45,8 @@ pub(crate) enum Phase {
 /// A data directory with what it holds, where there is one.
 pub(crate) type ToRestore = Option<(Arc<Disk>, Saved)>;
 
-/// The service's state: parts that requests and jobs share, with one task each. A part holds those that it works with and
-/// knows nothing of the rest.
+/// The service's state: parts that requests and jobs share, with one task each. A part holds those that it works with
+/// and knows nothing of the rest.
 pub(crate) struct App {
     /// Limits, waits, and what a client gets that does not ask for anything else.
     pub(crate) config: Arc<Config>,

@@ -35,7 +35,8 @@ pub(super) fn assert_agrees(name: &str, estimate: Estimate, truth: f64, bias: f6
     assert!(estimate.error <= 0.03 * truth.abs() + 1e-9, "{name}: standard error {:.6} of {truth:.6}", estimate.error);
 }
 
-/// Comparisons of estimates from a few replicates each that hold together ([`metrics::Family`]), each of which can tell 3 %.
+/// Comparisons of estimates from a few replicates each that hold together ([`metrics::Family`]), each of which can tell
+/// 3 %.
 pub(super) struct Family {
     comparisons: metrics::Family,
     errors: Vec<f64>,

@@ -213,7 +213,8 @@ mod tests {
         Object::new(name, Mesh::cuboid(Vec3::ZERO, Vec3::ONE), Material::diffuse(Vec3::splat(0.5)))
     }
 
-    /// One cube in place of another, half of it in a third: slots that are unchanged, removed, inserted, and in a solid.
+    /// One cube in place of another, half of it in a third: slots that are unchanged, removed, inserted, and in a
+    /// solid.
     fn transition() -> Transition {
         let objects = vec![cube("stays"), cube("goes"), cube("stays, too")];
         let options = WorldOptions { spacing: Some(0.1), ..WorldOptions::default() };

@@ -3,8 +3,8 @@
 use std::f64::consts::FRAC_PI_2;
 use std::fmt::Write;
 
-/// Comparisons that hold together: by chance alone any of all of them fails for less than one in a thousand choices of seeds.
-/// Each is held to a quantile of Student's t-distribution at its share of that thousandth (Bonferroni). What is
+/// Comparisons that hold together: by chance alone any of all of them fails for less than one in a thousand choices of
+/// seeds. Each is held to a quantile of Student's t-distribution at its share of that thousandth (Bonferroni). What is
 /// compared need not be independent.
 #[derive(Clone, Debug)]
 pub struct Family {
@@ -26,8 +26,8 @@ impl Family {
         Family::of_freedom(f64::INFINITY)
     }
 
-    /// Of estimates whose standard errors stem from their own scatter, of so many degrees of freedom: the samples of each,
-    /// less one.
+    /// Of estimates whose standard errors stem from their own scatter, of so many degrees of freedom: the samples of
+    /// each, less one.
     pub fn of_freedom(freedom: f64) -> Family {
         Family { freedom, comparisons: Vec::new() }
     }
@@ -66,8 +66,8 @@ impl Family {
     }
 }
 
-/// What the absolute value of Student's t passes with probability `p`, for so many degrees of freedom; infinitely many: of
-/// a normal distribution.
+/// What the absolute value of Student's t passes with probability `p`, for so many degrees of freedom; infinitely many:
+/// of a normal distribution.
 pub fn t_quantile(p: f64, freedom: f64) -> f64 {
     // More than these change nothing that counts, and would need finer steps.
     let freedom = freedom.min(10_000.0);

@@ -113,8 +113,8 @@ impl<V: Value> Change<'_, V> {
 impl<V: Value> Updater<'_, V> {
     /// X = Σ_k u_k. Where X is `known` roughly, only what some rows gather of it is computed anew, and the answer is of
     /// use for them only. Elements `near` the edit gather it themselves: interpolation is off in corners, where there
-    /// are no representatives, and after many edits that adds up (a crate that was inserted and removed fifty times: 9.4 % of the
-    /// mean light, 5.5 % with it).
+    /// are no representatives, and after many edits that adds up (a crate that was inserted and removed fifty times:
+    /// 9.4 % of the mean light, 5.5 % with it).
     pub(super) fn propagate(
         &self,
         change: Change<V>,

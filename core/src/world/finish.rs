@@ -1,4 +1,5 @@
-//! The end of a request: trees of what was inserted, what it hides and closes, and the way from the world before to that after.
+//! The end of a request: trees of what was inserted, what it hides and closes, and the way from the world before to
+//! that after.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -21,7 +22,8 @@ impl Draft {
         let scene = self.scene_mut();
         let names: BTreeSet<&str> = scene.lights.iter().map(|light| light.name.as_str()).collect();
         scene.groups.retain(|light, _| names.contains(light.as_str()));
-        // An object that is inserted and removed within the request leaves a trace in `touched` only, which is harmless.
+        // An object that is inserted and removed within the request leaves a trace in `touched` only, which is
+        // harmless.
         let changed = !self.removed.is_empty() || !self.inserted.is_empty();
         let common = self.world.trees.clone();
         self.world.emitters = Arc::new(self.world.resolve_emitters());

@@ -105,8 +105,8 @@ pub(crate) struct Resolution {
     pub smooth: f32,
 }
 
-/// Immutable snapshot of a scene with its elements and trees: a list of parts, which an edit replaces where they change.
-/// Cheap to clone.
+/// Immutable snapshot of a scene with its elements and trees: a list of parts, which an edit replaces where they
+/// change. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct World {
     /// What was loaded and edited.

@@ -9,8 +9,8 @@ use crate::surface::SurfaceError;
 pub struct WorldOptions {
     /// Largest distance between neighbouring elements, metres; chosen from the scene's size where absent.
     pub spacing: Option<f32>,
-    /// Most squares of its spacing that one object has ([`Density`](crate::Density)). Where absent it is chosen with the spacing, and there
-    /// is no such bound on one that is given.
+    /// Most squares of its spacing that one object has ([`Density`](crate::Density)). Where absent it is chosen with
+    /// the spacing, and there is no such bound on one that is given.
     pub object_squares: Option<f64>,
     /// More element slots than this are refused.
     pub max_elements: usize,

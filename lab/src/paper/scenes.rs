@@ -62,7 +62,8 @@ fn bounding_sphere(corners: &[[Vec3; 3]]) -> (Vec3, f32) {
     (center, points().map(|p| p.distance(center)).fold(0.0, f32::max) * 1.0001)
 }
 
-/// Objects to remove from the world before and to insert into the world after: what is removed, inserted, moved or repainted.
+/// Objects to remove from the world before and to insert into the world after: what is removed, inserted, moved or
+/// repainted.
 pub(super) fn edited(transition: &Transition) -> (Keys, Keys) {
     let (before, after) = (&transition.before, &transition.after);
     let changed = |one: &World, other: &World| -> Keys {

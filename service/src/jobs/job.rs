@@ -92,7 +92,8 @@ pub struct Requests {
 pub enum Standing {
     /// Waits for its turn.
     Waiting {
-        /// Starts of jobs when it joined the line: how long it waits. Where its scene has had a turn since, that counts.
+        /// Starts of jobs when it joined the line: how long it waits. Where its scene has had a turn since, that
+        /// counts.
         turn: u64,
         /// The job that does its work with its own.
         merged_into: Option<JobNumber>,
@@ -274,8 +275,8 @@ impl Job {
         }
     }
 
-    /// Puts it in line again, after so many starts of jobs. One that runs and was asked to make room goes on as soon as it
-    /// has.
+    /// Puts it in line again, after so many starts of jobs. One that runs and was asked to make room goes on as soon as
+    /// it has.
     pub fn resume(&mut self, turn: u64) -> Change {
         match &mut self.standing {
             Standing::Paused { started_at } => {
@@ -315,8 +316,8 @@ impl Job {
         }
     }
 
-    /// The end of the run of the job that does this one's work, with its progress: this one ends as that does, or is in line
-    /// again.
+    /// The end of the run of the job that does this one's work, with its progress: this one ends as that does, or is in
+    /// line again.
     pub fn stop_merged(&mut self, progress: JobProgress, end: &RunEnd, now: Timestamp) {
         let Standing::Waiting { merged_into, .. } = &mut self.standing else { return };
         match end {

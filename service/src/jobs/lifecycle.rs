@@ -198,8 +198,8 @@ impl Jobs {
         };
         let mut state = self.lock();
         let changed = state.queue.finish(number, end, now);
-        // One that was merged and canceled while its end was being kept ended as its client was told; one that made way and was
-        // canceled just then has ended.
+        // One that was merged and canceled while its end was being kept ended as its client was told; one that made way
+        // and was canceled just then has ended.
         let canceled = changed.iter().filter(|job| {
             let has_ended = state.queue.get(**job).is_some_and(Job::has_ended);
             *end == RunEnd::Interrupted && has_ended && !kept.contains(job)

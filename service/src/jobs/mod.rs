@@ -1,5 +1,6 @@
-//! Jobs: [`job`] is one of them with its steps, [`queue`] the state of all, [`scheduler`] decides, `worker` runs, `observer` speaks for the service while
-//! the engine computes, `lifecycle` is how jobs come, change and go, `target` what a scene works towards, `idle` what happens while there are none.
+//! Jobs: [`job`] is one of them with its steps, [`queue`] the state of all, [`scheduler`] decides, `worker` runs,
+//! `observer` speaks for the service while the engine computes, `lifecycle` is how jobs come, change and go, `target`
+//! what a scene works towards, `idle` what happens while there are none.
 
 pub(crate) mod budget;
 mod idle;

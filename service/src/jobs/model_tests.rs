@@ -1,5 +1,5 @@
-//! The queue against a model in which a job has the fields of all states side by side, as clients see it: whatever happens,
-//! both tell the same, also when the service is started again.
+//! The queue against a model in which a job has the fields of all states side by side, as clients see it: whatever
+//! happens, both tell the same, also when the service is started again.
 
 use std::collections::{BTreeMap, HashSet};
 

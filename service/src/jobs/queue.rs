@@ -1,8 +1,8 @@
 //! The state of all jobs: plain data and its transitions, without a clock, threads or locks. The steps of one job are
 //! those of [`Job`]; here they are counted, and jobs of one scene kept apart.
 //!
-//! A job that waits and whose work another one does with its own is *merged* into it: it waits, out of line, and ends as
-//! that one ends. Where that one is canceled or interrupted instead, it is in line again.
+//! A job that waits and whose work another one does with its own is *merged* into it: it waits, out of line, and ends
+//! as that one ends. Where that one is canceled or interrupted instead, it is in line again.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fmt;
@@ -165,8 +165,8 @@ impl Queue {
         merged.map(|job| job.number).collect()
     }
 
-    /// The end of a job's run, and what becomes of the jobs merged into it. What changed, or nothing where the job does not
-    /// run.
+    /// The end of a job's run, and what becomes of the jobs merged into it. What changed, or nothing where the job does
+    /// not run.
     pub fn finish(&mut self, number: JobNumber, end: &RunEnd, now: Timestamp) -> Vec<JobNumber> {
         let Some(progress) = self.get(number).filter(|job| job.is_running()).map(|job| job.progress) else {
             return Vec::new();

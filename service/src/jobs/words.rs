@@ -25,8 +25,8 @@ impl JobKind {
         }
     }
 
-    /// Whether it works towards the scene's target. Edits of the scene go before it, whenever they come: it makes way for them
-    /// and goes on from the light that they leave.
+    /// Whether it works towards the scene's target. Edits of the scene go before it, whenever they come: it makes way
+    /// for them and goes on from the light that they leave.
     pub fn is_for_target(self) -> bool {
         match self {
             JobKind::Bake | JobKind::Refine => true,

@@ -84,13 +84,14 @@ mod tests {
     #[derive(Serialize, Deserialize)]
     struct Kept(#[serde(with = "super")] Job);
 
-    /// A record as all builds write it; `parts` are what differs between states.
+    /// A record as all builds write it, with what differs between states.
     fn text([state, merged_into, started_at, finished_at, error]: [&str; 5]) -> String {
         let progress =
             r#"{"fraction":0.5,"samples_per_element":3,"elapsed_ms":9,"estimated_rmse":null,"rays":11,"version":4}"#;
-        format!(
-            r#"{{"number":7,"scene":2,"kind":"edit","priority":"high",{state},"merged_into":{merged_into},"progress":{progress},"created_at":"2026-11-23T09:00:00Z","started_at":{started_at},"finished_at":{finished_at},"error":{error}}}"#
-        )
+        let job =
+            format!(r#""number":7,"scene":2,"kind":"edit","priority":"high",{state},"merged_into":{merged_into}"#);
+        let began = format!(r#""created_at":"2026-11-23T09:00:00Z","started_at":{started_at}"#);
+        format!(r#"{{{job},"progress":{progress},{began},"finished_at":{finished_at},"error":{error}}}"#)
     }
 
     const NO: &str = r#""cancel_requested":false,"pause_requested":false"#;
