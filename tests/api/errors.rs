@@ -108,7 +108,7 @@ fn broken() -> Vec<(String, Vec<u8>)> {
         ("/accessors/0/componentType", json!(1)),
         ("/accessors/0/type", json!("MAT9")),
         ("/accessors/1/componentType", json!(5126)),
-        ("/accessors/1/count", json!(7)),
+        ("/accessors/1/count", json!(7_000_000)),
         ("/meshes/0/primitives/0/attributes/POSITION", json!(55)),
         ("/meshes/0/primitives/0/attributes", json!({})),
         ("/meshes/0/primitives/0/indices", json!(99)),
