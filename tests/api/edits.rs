@@ -13,8 +13,7 @@ async fn every_kind_of_edit_is_accepted_and_lit() {
     let asset = server.crate_asset().await;
     let scene = server.baked_room("?samples_per_element=4").await;
     let lamp = json!({ "kind": "point", "position": [1, 2, 1], "color": [1, 1, 1], "intensity": 4 });
-    let spot =
-        json!({ "kind": "spot", "position": [1, 2, 1], "direction": [0, -2, 0], "color": [1, 1, 1], "intensity": 4 });
+    let spot = json!({ "kind": "spot", "position": [1, 2, 1], "direction": [0, -2, 0], "color": [1, 1, 1], "intensity": 4, "range": 8 });
     let sun = json!({ "kind": "directional", "direction": [1, -1, 0], "color": [1, 1, 1], "intensity": 4 });
     let edits = [
         json!({ "op": "insert", "asset": asset, "name": "crate-1", "transform": translation(2.0, 0.01, 2.0) }),
@@ -56,6 +55,9 @@ async fn every_kind_of_edit_is_accepted_and_lit() {
     assert_eq!(scene["unlit_edits"], 0);
     let names: Vec<&Value> = scene["objects"].as_array().unwrap().iter().map(|object| &object["name"]).collect();
     assert_eq!(names, ["room", "cupboard", "a"]);
+    let spot = scene["lights"].as_array().unwrap().iter().find(|light| light["name"] == "spot").unwrap();
+    let cone = [&spot["inner_cone_angle"], &spot["outer_cone_angle"]].map(|angle| angle.as_f64().unwrap() as f32);
+    assert_eq!((cone, &spot["range"]), ([0.0, std::f32::consts::FRAC_PI_4], &json!(8.0)));
     server.stop().await;
 }
 

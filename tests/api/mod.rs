@@ -1,6 +1,7 @@
 //! The service over HTTP: the real server on a free port.
 
 mod access;
+mod accuracy;
 mod ambient;
 mod answers;
 mod assets;

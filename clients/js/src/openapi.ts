@@ -172,6 +172,20 @@ export interface EnvironmentLight {
   intensity: number;
 }
 
+/** How accurate a light map is. */
+export interface ErrorReport {
+  /** Version of the light map. */
+  version: number;
+  /** Which light is meant: the scene's mode. */
+  part: SamplePart;
+  /** Over all surfaces. */
+  error: MapError;
+  /** Points that resolution was measured at; those inside of solids do not count. */
+  points: number;
+  /** Object by object, in the order of the scene; hidden ones have no light. */
+  objects: ObjectError[];
+}
+
 /**
  * What the client looks at: a camera of the file (`camera`), a camera of one's own (`eye`, `target`), or a sphere
  * (`point`, `radius`).
@@ -386,10 +400,30 @@ export interface Light {
   position?: number[] | null;
   /** Where it shines. */
   direction?: number[] | null;
+  /** Where the light of a point or spot light ends, metres; absent where it does not. */
+  range?: number | null;
+  /** Full intensity of a spot light up to this angle from `direction`, radians. */
+  inner_cone_angle?: number | null;
+  /** No light of a spot light beyond this angle from `direction`, radians. */
+  outer_cone_angle?: number | null;
   /** Angle that the disc of a directional light takes up, radians. */
   angle?: number | null;
   /** By how much a picture of the sky is turned about +y, degrees; absent without a picture. */
   rotation?: number | null;
+}
+
+/**
+ * Errors of light as it is kept, before its noise is averaged away: irradiance / π, mean over RGB. The error of a value
+ * that is read between elements is about the root of the sum of both squares.
+ */
+export interface MapError {
+  /** Of chance: it falls with samples. Null where nothing is known, as of an estimate or of light that is not up to date. */
+  noise?: number | null;
+  /**
+   * Of the distance between elements: it falls with their spacing, and no number of samples makes it smaller. Null
+   * where the noise is not known, where too few points were measured, or where it is too small to be told from noise.
+   */
+  resolution?: number | null;
 }
 
 /** Gives an object a new place. */
@@ -444,6 +478,16 @@ export interface ObjectDetail {
   area: number;
   /** Mean of the light map over that area, in the scene's mode; none where it has no elements. */
   light?: number[] | null;
+}
+
+/** How accurate the light of an object is. */
+export interface ObjectError {
+  /** Its name. */
+  object: string;
+  /** Over its surface. */
+  error: MapError;
+  /** Points on it. */
+  points: number;
 }
 
 /** A material of an object. */

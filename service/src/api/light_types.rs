@@ -67,6 +67,15 @@ pub struct Light {
     /// Where it shines.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub direction: Option<[f32; 3]>,
+    /// Where the light of a point or spot light ends, metres; absent where it does not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub range: Option<f32>,
+    /// Full intensity of a spot light up to this angle from `direction`, radians.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub inner_cone_angle: Option<f32>,
+    /// No light of a spot light beyond this angle from `direction`, radians.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub outer_cone_angle: Option<f32>,
     /// Angle that the disc of a directional light takes up, radians.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub angle: Option<f32>,

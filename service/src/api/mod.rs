@@ -1,5 +1,6 @@
 //! The HTTP API. Handlers unpack, call and wrap; what they call knows no HTTP.
 
+mod accuracy;
 mod assets;
 pub mod atlas;
 mod between;
@@ -93,6 +94,7 @@ pub(crate) fn router(app: Arc<App>) -> Router {
         .route("/v1/scenes/{scene}/atlas", get(atlas::get))
         .route("/v1/scenes/{scene}/render", get(render::get))
         .route("/v1/scenes/{scene}/sample", post(sample::create))
+        .route("/v1/scenes/{scene}/error", get(accuracy::get))
         .route("/v1/scenes/{scene}/probes", get(probes::get).post(probes::create))
         .route("/v1/assets", post(assets::create).get(assets::list))
         .route("/v1/assets/{asset}", delete(assets::delete))

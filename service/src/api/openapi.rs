@@ -13,8 +13,8 @@ use utoipa::openapi::{Ref, RefOr};
 
 use super::problem::{self, Kind, ProblemDocument};
 use super::{
-    assets, atlas, between, deltas, edit_types, edits, elements, events, health, history, jobs, lightmap, objects,
-    probes, render, sample, scenes, types, uploads,
+    accuracy, assets, atlas, between, deltas, edit_types, edits, elements, events, health, history, jobs, lightmap,
+    objects, probes, render, sample, scenes, types, uploads,
 };
 
 #[derive(OpenApi)]
@@ -28,7 +28,7 @@ use super::{
         uploads::create, scenes::list, scenes::get, scenes::patch, scenes::delete, assets::create, assets::list, assets::delete, edits::create,
         history::list,
         jobs::list, jobs::get, jobs::cancel, jobs::pause, jobs::resume, events::of_job, events::of_scene,
-        objects::list, objects::get, lightmap::get, deltas::get, between::get, elements::get, atlas::get, atlas::get_page, render::get, sample::create, probes::get, probes::create, health::alive, health::ready, health::metrics, health::problem, get
+        objects::list, objects::get, lightmap::get, deltas::get, between::get, elements::get, atlas::get, atlas::get_page, render::get, sample::create, accuracy::get, probes::get, probes::create, health::alive, health::ready, health::metrics, health::problem, get
     ),
     components(schemas(ProblemDocument, types::SnapshotEvent, types::SceneEvent, types::SceneSummary, edit_types::EditRequest)),
     servers((url = "/", description = "The service that tells this")),
@@ -174,6 +174,7 @@ fn problems_of(operation: &str) -> &'static [Kind] {
             InvalidValue,
             ShuttingDown,
         ],
+        "get_error" => &[InvalidQuery, UnknownScene, SceneDamaged, ShuttingDown],
         "get_probes" => &[InvalidQuery, UnknownScene, SceneDamaged, VersionAhead, ShuttingDown],
         "sample_probes" => &[
             InvalidJson,

@@ -218,33 +218,36 @@ fn to_target(target: JobBudget) -> Budget {
 fn light(info: &rebake_core::LightInfo<'_>, map: &LightMap) -> types::Light {
     use rebake_core::scene::LightKind;
     let light = info.light;
-    let (mut angle, mut rotation) = (None, None);
-    let (object, position, direction) = match &light.kind {
-        LightKind::Emissive { object, .. } => (Some(object.clone()), None, None),
-        LightKind::Point { position, .. } => (None, Some(*position), None),
-        LightKind::Spot { position, direction, .. } => (None, Some(*position), Some(*direction)),
-        LightKind::Directional { direction, angle: its_angle } => {
-            angle = Some(*its_angle);
-            (None, None, Some(*direction))
-        }
-        LightKind::Sky { rotation: turned, .. } => {
-            rotation = Some(turned.to_degrees());
-            (None, None, None)
-        }
-        LightKind::Environment => (None, None, None),
-    };
-    types::Light {
+    let mut told = types::Light {
         name: light.name.clone(),
         kind: info.kind.to_owned(),
         color: light.color.to_array(),
         intensity: light.intensity,
         layer: map.layer_of(&light.name).map(|layer| layer.name.clone()),
-        object,
-        position: position.map(|p| p.to_array()),
-        direction: direction.map(|d| d.to_array()),
-        angle,
-        rotation,
+        object: None,
+        position: None,
+        direction: None,
+        range: None,
+        inner_cone_angle: None,
+        outer_cone_angle: None,
+        angle: None,
+        rotation: None,
+    };
+    match &light.kind {
+        LightKind::Emissive { object, .. } => told.object = Some(object.clone()),
+        LightKind::Point { position, range } => (told.position, told.range) = (Some(position.to_array()), *range),
+        LightKind::Spot { position, direction, inner_cone_angle, outer_cone_angle, range } => {
+            (told.position, told.range) = (Some(position.to_array()), *range);
+            told.direction = Some(direction.to_array());
+            (told.inner_cone_angle, told.outer_cone_angle) = (Some(*inner_cone_angle), Some(*outer_cone_angle));
+        }
+        LightKind::Directional { direction, angle } => {
+            (told.direction, told.angle) = (Some(direction.to_array()), Some(*angle));
+        }
+        LightKind::Sky { rotation, .. } => told.rotation = Some(rotation.to_degrees()),
+        LightKind::Environment => {}
     }
+    told
 }
 
 fn camera((camera, index): (&rebake_core::scene::Camera, u32)) -> types::Camera {

@@ -5,7 +5,9 @@ use axum::http::Uri;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
-use super::super::{atlas, deltas, edit_parse, jobs, lightmap, objects, probes, render, sample, scenes, upload_query};
+use super::super::{
+    accuracy, atlas, deltas, edit_parse, jobs, lightmap, objects, probes, render, sample, scenes, upload_query,
+};
 use super::document;
 
 fn described() -> Value {
@@ -41,6 +43,7 @@ fn read_query(operation: &str, query: &str) -> Result<(), String> {
         "get_deltas" => reads::<deltas::DeltaQuery>(&format!("since=0&{query}").replace("since=0&since", "since")),
         "get_atlas_page" => reads::<atlas::PageQuery>(query),
         "get_probes" => reads::<probes::ProbesQuery>(query),
+        "get_error" => reads::<accuracy::ErrorQuery>(query),
         "render_scene" => reads::<render::RenderQuery>(query),
         _ => Err("this test does not know the operation".to_owned()),
     }

@@ -82,6 +82,11 @@ class LightInfo:
     object: str | None = None
     position: tuple[float, ...] | None = None
     direction: tuple[float, ...] | None = None
+    #: Where the light of a point or spot light ends, metres.
+    range: float | None = None
+    #: Radians from `direction`: full intensity up to the one, no light beyond the other.
+    inner_cone_angle: float | None = None
+    outer_cone_angle: float | None = None
     angle: float | None = None
     rotation: float | None = None
 
