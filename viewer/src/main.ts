@@ -81,7 +81,7 @@ let scene: Scene | null = null;
 /** Names of the objects before the last edit: the others have no light to compare with. */
 let before = new Set<string>();
 let shownMesh = '';
-/** Accepted edits that the scene as it is shown has in it. */
+/** Accepted edits that the scene as it is shown has in it; −1 while another one is about to be shown. */
 let seen = 0;
 /** Counts scenes that were opened: of two at once the later one stays. */
 let opened = 0;
@@ -177,7 +177,8 @@ const refresh = coalesce(async () => {
   const { accepted_edits } = now;
   now.accepted_edits = Math.max(now.accepted_edits, scene.accepted_edits);
   const last = scene;
-  scene = now;
+  // None of it is shown yet, not even where this was accepted before.
+  [scene, seen] = [now, -1];
   // What was accepted and is selected already may not be there yet.
   const has = (of: Scene, { kind, name }: Picked) => (kind === 'object' ? of.objects : of.lights).some((one) => one.name === name);
   selection.keep((one) => has(now, one) || !has(last, one));
