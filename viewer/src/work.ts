@@ -16,7 +16,13 @@ const seconds = (ms: number) => (ms < 9950 ? `${(ms / 1000).toFixed(1)} s` : `${
 export function work(jobs: Job[], scene: Scene | null, actions: WorkActions): void {
   const current = jobs.find((job) => job.state === 'running') ?? jobs.find((job) => job.state === 'paused' && job.pause_requested);
   const focused = (document.activeElement as HTMLElement | null)?.closest('#job') ? document.activeElement?.textContent : null;
-  $('job').replaceChildren(...(current ? open(current, actions) : rest(jobs, scene, actions)));
+  const parts = current ? open(current, actions) : rest(jobs, scene, actions);
+  const buttons = [current?.id, ...parts.flatMap((part) => [...part.querySelectorAll('button')].map((one) => one.textContent))].join();
+  const panel = $('job');
+  // Buttons that are the same stay: a click that has begun is not lost when progress comes.
+  if (current && panel.dataset['buttons'] === buttons) parts.slice(0, -1).forEach((part, k) => panel.children[k]!.replaceWith(part));
+  else panel.replaceChildren(...parts);
+  panel.dataset['buttons'] = buttons;
   const again = [...$('job').querySelectorAll('button')].find((one) => one.textContent === focused);
   again?.focus();
   const waiting = jobs.filter((job) => isOpen(job) && job !== current).reverse();

@@ -134,10 +134,13 @@ export async function checkLight({ page, room, objectName, check, shot, state, c
   await page.waitForFunction(([n, z]) => Math.abs(window.rebake.state().scene.objects.find((o) => o.name === n).bounds.min[2] - z) < 1e-4, [objectName, bounds0.min[2]]);
   await settled();
 
-  // Cancel, before anything else: the whole room as an asset in the room is work enough.
+  // Cancel, before anything else: with so many samples the job goes on until then, on any machine.
+  const lasting = (route) => route.continue({ postData: JSON.stringify({ ...route.request().postDataJSON(), budget: { samples_per_element: 8_000 } }) });
   await page.setInputFiles('#asset-file', room);
+  await page.route('**/edits', lasting);
   await page.locator('#assets [role=option]').first().click();
   await page.locator('#job button', { hasText: 'Cancel' }).click();
+  await page.unroute('**/edits', lasting);
   await page.waitForFunction(() => window.rebake.state().jobs[0].state === 'canceled');
   check((await page.locator('#job').textContent()).includes('canceled'), 'a running job is canceled');
   await page.locator('#undo').click();
