@@ -118,6 +118,7 @@ export async function checkLight({ page, room, objectName, check, shot, state, c
   await page.locator('#redo').click();
   await page.waitForFunction(([n, x]) => Math.abs(window.rebake.state().scene.objects.find((o) => o.name === n).bounds.min[0] - x) < 1e-4, [objectName, bounds1.min[0]]);
   await page.locator('#undo').click();
+  await page.waitForFunction(([n, x]) => Math.abs(window.rebake.state().scene.objects.find((o) => o.name === n).bounds.min[0] - x) < 1e-4, [objectName, bounds0.min[0]]);
   await settled();
   check(true, 'a move is undone and redone');
 
