@@ -100,9 +100,9 @@ impl Draft {
                 let index = self.object_index(object)?;
                 self.move_object(index, transform)
             }
-            Edit::Material { object, albedo } => self.repaint(object, *albedo),
+            Edit::Material { object, albedo } => self.repaint(Some(object), None, *albedo),
             Edit::NamedMaterial { object, material, albedo } => {
-                self.repaint_named(object.as_deref(), material, *albedo)
+                self.repaint(object.as_deref(), Some(material), *albedo)
             }
             Edit::Tint { object, material, factor } => self.tint(object.as_deref(), material.as_deref(), *factor),
             Edit::Hide { objects } => self.set_hidden(objects, true),

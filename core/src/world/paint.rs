@@ -11,21 +11,14 @@ use crate::scene::{Look, Mesh, Object};
 use crate::space::Albedo;
 
 impl Draft {
-    /// All materials of an object.
-    pub(super) fn repaint(&mut self, name: &str, albedo: Vec3) -> Result<(), EditError> {
-        let index = self.object_index(name)?;
-        check_albedo(albedo)?;
-        self.paint(index, |_| true, albedo)
-    }
-
-    /// Materials of a name, of one object or of all.
-    pub(super) fn repaint_named(
+    /// Gives materials another albedo all over: those of a name, of one object or of all, or all of an object.
+    pub(super) fn repaint(
         &mut self,
         object: Option<&str>,
-        material: &str,
+        material: Option<&str>,
         albedo: Vec3,
     ) -> Result<(), EditError> {
-        let found = self.materials_of(object, Some(material))?;
+        let found = self.materials_of(object, material)?;
         check_albedo(albedo)?;
         found.into_iter().try_for_each(|(index, materials)| self.paint(index, |k| materials.contains(&k), albedo))
     }
