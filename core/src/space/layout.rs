@@ -7,10 +7,9 @@ use super::elements::sample_points;
 use super::neighbours::Neighbours;
 use super::subdivide::{Subdivided, subdivide};
 use crate::order::{along_curve, in_order};
-use crate::surface::{Surface, SurfaceError, barycentrics, moved_normals, moved_points, overlap, triangle_area};
-
-/// Distances between elements are as they were before a motion, or shorter than this many times that.
-const REACH: f32 = 1.01;
+use crate::surface::{
+    ROUNDED, Surface, SurfaceError, barycentrics, moved_normals, moved_points, overlap, triangle_area,
+};
 
 /// How the elements of one side of a surface are laid out; moving the surface leaves it as it is.
 #[derive(Clone, Debug, Default)]
@@ -130,8 +129,7 @@ impl Layout {
         boxes: &[(Vec3, Vec3)],
         f: impl Fn(&Patch) -> Option<T> + Sync,
     ) -> Vec<T> {
-        // Elements are moved along with the surface, and rounded.
-        let reach = Vec3::splat(REACH * self.reach);
+        let reach = Vec3::splat(ROUNDED * self.reach);
         let grown: Vec<(Vec3, Vec3)> = boxes.iter().map(|(low, high)| (*low - reach, *high + reach)).collect();
         self.cells.collect(surface, |patch| grown.iter().any(|b| overlap(b, &patch.bounds())), f)
     }

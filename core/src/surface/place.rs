@@ -44,6 +44,9 @@ impl Surface {
     }
 }
 
+/// Distances between points after a rigid motion are at most so many times what they were: coordinates are rounded.
+pub(crate) const ROUNDED: f32 = 1.01;
+
 /// Points after a rigid motion.
 pub(crate) fn moved_points(motion: &DMat4, points: &[Vec3]) -> Vec<Vec3> {
     points.iter().map(|p| motion.transform_point3(p.as_dvec3()).as_vec3() + Vec3::ZERO).collect()

@@ -11,16 +11,13 @@ use super::{Placed, World};
 use crate::bits::Bits;
 use crate::bvh::Ray;
 use crate::space::{Patch, ray_offset};
-use crate::surface::overlap;
+use crate::surface::{ROUNDED, overlap};
 
 /// Height above the surface at which sight is asked for, in spacings.
 const LIFT: f32 = 0.05;
 
 /// Part of the way between two points that is left out at both ends: walls may begin there.
 const ENDS: f32 = 0.02;
-
-/// Distances within an object are as they were before a motion, or shorter than this many times that.
-const REACH: f32 = 1.01;
 
 /// Entries of an object's coarse weights whose representative the element does not see.
 #[derive(Clone, Debug, Default)]
@@ -155,8 +152,7 @@ fn hidden_entries(world: &World, placed: &Placed, touched: Touched, old: Option<
     let entries = coarse.entries.len();
     let sides = if placed.with_back { 2 } else { 1 };
     let touched = touched.filter(|_| old.is_some());
-    // Representatives were moved along with their elements, and rounded.
-    let reach = Vec3::splat(REACH * coarse.reach);
+    let reach = Vec3::splat(ROUNDED * coarse.reach);
     let asked: Vec<(usize, bool)> = (0..sides * n)
         .into_par_iter()
         .with_min_len(256)
