@@ -105,7 +105,7 @@ pub fn resolution_error(
         Stated::Indirect => LightPart::Indirect,
     };
     let values = map.light.part(part);
-    let places = places(world, options);
+    let places = surface_points(world, options);
     let points: Vec<(DVec3, Vec3)> =
         places.iter().map(|place| (world.scene.origin + place.point.as_dvec3(), place.normal)).collect();
     let seed = subseed(options.seed, 0xe8ac);
@@ -130,21 +130,17 @@ pub fn resolution_error(
 /// The stated error of each object of the world, in its order: the root of the mean variance over its elements. None
 /// where nothing is known of it.
 pub fn noise_of_objects(world: &World, map: &LightMap) -> Vec<Option<f32>> {
+    let variance = &map.light.variance;
     let of_object = |placed: &Placed| {
         let slots = placed.placement.element_indices();
-        let variances = map.light.variance.get(slots.clone())?;
-        let (mut sum, mut all) = (0.0, 0.0);
-        for (area, variance) in world.areas().range(slots).zip(variances) {
-            sum += f64::from(*area) * f64::from(*variance);
-            all += f64::from(*area);
-        }
-        (all > 0.0).then(|| (sum / all).sqrt() as f32)
+        let is_known = !slots.is_empty() && slots.end <= variance.len();
+        is_known.then(|| world.area_mean(slots, |slot| f64::from(variance[slot])).sqrt() as f32)
     };
     world.placed.iter().map(|placed| of_object(placed)).collect()
 }
 
 /// Where light is read and sampled.
-struct Place {
+struct SurfacePoint {
     /// Index of the object.
     object: usize,
     /// Scene space, on the round surface that shading normals promise.
@@ -154,8 +150,8 @@ struct Place {
     footprint: Footprint,
 }
 
-/// One place in every part of the surfaces of the same area, of those that can be seen.
-fn places(world: &World, options: &ResolutionOptions) -> Vec<Place> {
+/// One point in every part of the surfaces of the same area, of those that can be seen.
+fn surface_points(world: &World, options: &ResolutionOptions) -> Vec<SurfacePoint> {
     let sides = |placed: &Placed| if placed.with_back { 2 } else { 1 };
     let area = |placed: &Placed| sides(placed) as f64 * placed.surface.all_corners().map(triangle_area).sum::<f64>();
     let all: f64 = world.placed.iter().map(|placed| area(placed)).sum();
@@ -168,7 +164,7 @@ fn places(world: &World, options: &ResolutionOptions) -> Vec<Place> {
             for (face, corners) in placed.surface.all_corners().enumerate() {
                 done += triangle_area(corners);
                 while next < done {
-                    let place = place_on(world, (object, placed), (face, corners), is_back, rng.next_2d());
+                    let place = point_on(world, (object, placed), (face, corners), is_back, rng.next_2d());
                     places.extend(place.filter(|place| !world.is_in_solid(place.point, place.normal, &mut rng)));
                     next = step * (stratum + f64::from(rng.next_f32()));
                     stratum += 1.0;
@@ -180,13 +176,13 @@ fn places(world: &World, options: &ResolutionOptions) -> Vec<Place> {
 }
 
 /// A point of a triangle; none where no element knows the light there.
-fn place_on(
+fn point_on(
     world: &World,
     (object, placed): (usize, &Placed),
     (face, corners): (usize, [Vec3; 3]),
     is_back: bool,
     u: [f32; 2],
-) -> Option<Place> {
+) -> Option<SurfacePoint> {
     let [a, b, c] = corners;
     let flat = geometric_normal(a, b, c)?;
     let (u, v) = uniform_barycentrics(u);
@@ -200,7 +196,7 @@ fn place_on(
     };
     let normal = mean(&|slot| world.normals()[slot]).try_normalize()?;
     let lift = (mean(&|slot| world.positions()[slot]) - on_face).dot(normal).max(0.0);
-    Some(Place { object, point: on_face + normal * lift, normal, footprint })
+    Some(SurfacePoint { object, point: on_face + normal * lift, normal, footprint })
 }
 
 #[cfg(test)]
@@ -273,7 +269,7 @@ mod tests {
             let (mut sum, mut count) = (0.0, 0.0);
             for k in 0..100_000 {
                 let (face, u) = (k % corners.len(), rng.next_2d());
-                let place = place_on(&world, (0, &world.placed[0]), (face, corners[face]), false, u).expect("a place");
+                let place = point_on(&world, (0, &world.placed[0]), (face, corners[face]), false, u).expect("a place");
                 sum += (f64::from(place.footprint.interpolate(&*values).x) - exact(place.point)).powi(2);
                 count += 1.0;
             }
