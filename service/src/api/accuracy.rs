@@ -21,13 +21,16 @@ use crate::store::versions::Published;
 const DEFAULT_POINTS: u32 = 4096;
 const DEFAULT_SAMPLES: u32 = 64;
 
+/// Most points of one request.
+const MOST_POINTS: u64 = 1 << 16;
+
 /// How well to measure.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct ErrorQuery {
     /// Points on the surfaces where what is read is held against exact samples; 4096 where absent.
-    #[param(example = 4096, minimum = 32)]
+    #[param(example = 4096, minimum = 32, maximum = 65_536)]
     points: Option<u32>,
     /// Samples at each; 64 where absent.
     #[param(example = 64, minimum = 2)]
@@ -109,9 +112,9 @@ fn options(query: &ErrorQuery, limits: &Limits, seed: u64) -> ApiResult<Resoluti
     let bounded = |field: &str, value: Option<u32>, default: u32, least: u32, most: u64| {
         let value = value.unwrap_or(u64::from(default).min(most) as u32);
         let invalid = || Problem::field(Kind::InvalidQuery, field, format!("has to be {least} to {most}, not {value}"));
-        (u64::from(value) >= u64::from(least) && u64::from(value) <= most).then_some(value).ok_or_else(invalid)
+        (value >= least && u64::from(value) <= most).then_some(value).ok_or_else(invalid)
     };
-    let points = bounded("points", query.points, DEFAULT_POINTS, 32, limits.sample_points as u64)?;
+    let points = bounded("points", query.points, DEFAULT_POINTS, 32, MOST_POINTS)?;
     let most = u64::from(limits.samples_per_element).min(limits.samples / u64::from(points));
     let samples = bounded("samples", query.samples, DEFAULT_SAMPLES, 2, most)?;
     Ok(ResolutionOptions { points, samples, seed })
