@@ -8,9 +8,9 @@ use rayon::prelude::*;
 use crate::accumulate::Accumulator;
 use crate::ambient::with_ambient;
 use crate::importance::Importance;
-use crate::job::{Budget, Canceled, Observer, Pass, Progress, Snapshot};
-use crate::layers::{Apart, Computed, Header, groups_of, weights_of, weights_within};
-use crate::lightmap::{LightMap, LightValues};
+use crate::job::{Budget, Canceled, Observer, Offer, Pass, Progress, Snapshot};
+use crate::layers::{Apart, Computed, groups_of, weights_of, weights_within};
+use crate::lightmap::{LayerHeader, LightMap, LightValues};
 use crate::random::subseed;
 use crate::rounds::{Estimator, Goal, Phase, Round};
 use crate::solve::{Exchange, Paths, Rows, Subset};
@@ -31,13 +31,14 @@ const CHUNK: usize = 4096;
 /// ([`crate::scene::Scene::groups`]) get layers of their own, along the same rays.
 pub fn bake(world: &World, budget: &Budget, seed: u64, observer: &dyn Observer) -> Result<Arc<LightMap>, Canceled> {
     let work = Work::new(observer);
-    let goal = Goal { budget, importance: &Importance::default(), seed: seed_of(seed), estimates: true, guesses: true };
+    let importance = &Importance::default();
+    let goal = Goal { budget, importance, seed: seed_of(seed), estimates: true, guesses: true, offers: true };
     let map = bake_map(world, &groups_of(&world.scene), &|map| map, &goal, &work)?;
     Ok(map.unwrap_or_else(|| Arc::new(LightMap::black(world.slots()))))
 }
 
 /// What the seeds of a bake's rounds are made from.
-pub(crate) fn seed_of(seed: u64) -> u64 {
+fn seed_of(seed: u64) -> u64 {
     subseed(seed, 0xba6e)
 }
 
@@ -45,14 +46,14 @@ pub(crate) fn seed_of(seed: u64) -> u64 {
 /// `improve` makes what is published of what was baked so far.
 pub(crate) fn bake_map(
     world: &World,
-    headers: &[Header],
+    headers: &[LayerHeader],
     improve: &dyn Fn(LightMap) -> LightMap,
     goal: &Goal,
     work: &Work,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
     if headers.is_empty() {
         let finish = |layers: Apart| improve(layers.into_map());
-        return bake_stack::<Vec3>(world, &[Vec3::ONE], &finish, goal, work);
+        return bake_stack::<Vec3>(world, (&[], &[Vec3::ONE]), &finish, goal, work);
     }
     let weights = weights_of(headers, &world.scene);
     let finish = |computed: Computed| improve(computed.into_map(&weights));
@@ -62,7 +63,7 @@ pub(crate) fn bake_map(
 /// Bakes layers along the same rays; none where no round was run. `finish` makes what is published of them.
 pub(crate) fn bake_layers(
     world: &World,
-    headers: &[Header],
+    headers: &[LayerHeader],
     finish: &dyn Fn(Computed) -> LightMap,
     goal: &Goal,
     work: &Work,
@@ -74,20 +75,20 @@ pub(crate) fn bake_layers(
 
 fn bake_headers<V: Value>(
     world: &World,
-    headers: &[Header],
+    headers: &[LayerHeader],
     weights: &[Vec3],
     finish: &dyn Fn(Computed) -> LightMap,
     goal: &Goal,
     work: &Work,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
     let finish = |layers: Apart| finish(layers.named(headers));
-    bake_stack::<V>(world, weights_within(weights), &finish, goal, work)
+    bake_stack::<V>(world, (headers, weights_within(weights)), &finish, goal, work)
 }
 
 /// Bakes some layers together; none where no round was run.
 fn bake_stack<V: Value>(
     world: &World,
-    weights: &[Vec3],
+    (layers, weights): (&[LayerHeader], &[Vec3]),
     finish: &dyn Fn(Apart) -> LightMap,
     goal: &Goal,
     work: &Work,
@@ -95,7 +96,8 @@ fn bake_stack<V: Value>(
     let baker = Baker::new(world, weights, goal.seed);
     let show = |direct: Vec<V>, round: &Round| baker.show_estimate(direct, round, finish, work);
     let shows = goal.estimates && work.observer().wants_estimates();
-    let all = BakeRounds { show: shows.then_some(&show), ..baker.rounds(work) };
+    let layers = goal.offers.then_some(layers);
+    let all = BakeRounds { show: shows.then_some(&show), layers, ..baker.rounds(work) };
     let is_seen = goal.focus().map(|focus| focus.covers(world)).unwrap_or_default();
     let seen: Vec<u32> =
         baker.slots.iter().copied().filter(|&slot| is_seen.get(slot as usize) == Some(&true)).collect();
@@ -104,7 +106,7 @@ fn bake_stack<V: Value>(
         false => {
             // The rest is shown as the solution on the subset has it.
             let rounds = goal.rounds(world, weights, work, Phase::Part);
-            rounds.run_first(&BakeRounds { wanted: &seen, ..all }, &is_seen, None, finish)?
+            rounds.run_first(&BakeRounds { wanted: &seen, layers: None, ..all }, &is_seen, None, finish)?
         }
     };
     let compose = |sum: &Accumulator<V>, _: &Prior| {
@@ -126,6 +128,7 @@ pub(crate) struct Baker {
     rows: Arc<Rows>,
     /// What each layer weighs in the whole.
     weights: Vec<Vec3>,
+    /// That rounds derive theirs from.
     seed: u64,
 }
 
@@ -160,6 +163,8 @@ pub(crate) struct BakeRounds<'a, V> {
     wanted: &'a [u32],
     /// Shows what is known of direct light before anything else is.
     show: Option<&'a Show<'a, V>>,
+    /// What others are told of its layers; none where its rounds are done here.
+    layers: Option<&'a [LayerHeader]>,
 }
 
 impl<V: Value> Estimator<V> for BakeRounds<'_, V> {
@@ -186,6 +191,11 @@ impl<V: Value> Estimator<V> for BakeRounds<'_, V> {
     fn round(&self, prior: &Prior, round: &Round, out: &mut LightValues<V>) -> Result<(), Canceled> {
         self.baker.round(prior, round, self.wanted, self.work, out)
     }
+
+    fn offer<'p>(&'p self, prior: &'p Prior) -> Option<Offer<'p>> {
+        let effort = prior.effort.factors();
+        self.layers.map(|layers| Offer { seed: self.baker.seed, layers, round: 0, effort, parts: &[] })
+    }
 }
 
 impl Baker {
@@ -193,19 +203,29 @@ impl Baker {
         let subset = Subset::new(world);
         let (slots, rows) = (world.computed_slots(), Arc::new(Rows::all(&subset)));
         let (world, weights) = (world.clone(), weights.to_vec());
-        Baker { world, slots, subset, rows, weights, seed: subseed(seed, 0x4006) }
+        Baker { world, slots, subset, rows, weights, seed }
     }
 
     /// Rounds of the whole map.
     pub(crate) fn rounds<'a, V>(&'a self, work: &'a Work<'a>) -> BakeRounds<'a, V> {
-        BakeRounds { baker: self, work, wanted: &self.slots, show: None }
+        BakeRounds { baker: self, work, wanted: &self.slots, show: None, layers: None }
     }
 
     /// What the first round goes by, and the direct light that it is made from, which no round uses.
     pub(crate) fn first_prior<V: Value>(&self, work: &Work) -> Result<(Prior, Vec<V>), Canceled> {
-        let direct: Vec<V> = Hint::direct(&self.world, &self.slots, self.seed, work)?;
-        let hint = Arc::new(Hint::new(&self.world, &direct, &self.weights, self.seed, work));
+        let seed = self.hint_seed();
+        let direct: Vec<V> = Hint::direct(&self.world, &self.slots, seed, work)?;
+        let hint = Arc::new(Hint::new(&self.world, &direct, &self.weights, seed, work));
         Ok((Prior { hint, effort: Effort::default() }, direct))
+    }
+
+    /// Of the world.
+    pub(crate) fn slots(&self) -> usize {
+        self.world.slots()
+    }
+
+    fn hint_seed(&self) -> u64 {
+        subseed(self.seed, 0x4006)
     }
 
     /// Shows direct light with an ambient term for the rest.
@@ -216,7 +236,7 @@ impl Baker {
         finish: &dyn Fn(Apart) -> LightMap,
         work: &Work,
     ) -> Result<(), Canceled> {
-        let stack = with_ambient(&self.world, direct, self.weights.len(), self.seed, work)?;
+        let stack = with_ambient(&self.world, direct, self.weights.len(), self.hint_seed(), work)?;
         let map = Arc::new(finish(Apart::of_stack(&stack, self.weights.len())));
         let (round_samples, rays) = (round.samples, work.rays());
         let progress = Progress { round_samples, rays, ..Progress::nothing(Pass::Direct) };
@@ -236,7 +256,7 @@ impl Baker {
         out.blacken(world.slots());
         let LightValues { direct, indirect, .. } = out;
         (round.begin)(Pass::Direct, 0.0);
-        work.add(&self.slots, direct, direct_at(world, round.samples, effort, round.seed))?;
+        work.add(&self.slots, direct, direct_at(world, round.samples, effort, round.part_seed()))?;
         world.validity.fill(direct);
         (round.begin)(Pass::Propagation, 0.25);
         // Each round solves anew, from its own direct light: rounds stay independent, so that their scatter is the
@@ -247,7 +267,7 @@ impl Baker {
         let field = Field { total: &total, direct, rough: &hint.rough };
         let source = field.source(world, hint.spots.as_ref());
         (round.begin)(Pass::FinalGather, 0.4);
-        work.add(wanted, indirect, gathered(world, &source, round.samples, effort, round.seed))?;
+        work.add(wanted, indirect, gathered(world, &source, round.samples, effort, round.part_seed()))?;
         drop(source);
         // The gather is better than the solution that it looked up: at all elements, not on a subset. What it found
         // anew has bounces of its own.
@@ -274,7 +294,7 @@ impl Baker {
         let field = Field { total: direct, direct, rough: &hint.rough };
         let source = field.source(world, hint.spots.as_ref());
         let samples = round.samples.clamp(SOLVE_SAMPLES.0, SOLVE_SAMPLES.1);
-        let seed = subseed(round.seed, 0x50);
+        let seed = round.part_seed().of(0x50);
         let exchange = Exchange::trace(world, &self.subset, &self.rows, &source, Paths::Each(samples), seed, work)?;
         let bounces = self.spread(&exchange, &exchange.all_bounces(&exchange.first));
         Ok((exchange, bounces))

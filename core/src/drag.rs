@@ -12,9 +12,9 @@ use std::sync::Arc;
 use glam::Vec3;
 
 use crate::job::{Canceled, Observer};
-use crate::layers::{Header, Layer, moved_layers, whole_of};
+use crate::layers::{Layer, LayerHeader, moved_layers, whole_of};
 use crate::lightmap::{LightMap, LightValues};
-use crate::random::subseed;
+use crate::random::{PartSeed, subseed};
 use crate::solve::{Exchange, Paths, Rows, Subset};
 use crate::space::Space;
 use crate::transport::direct::direct_of;
@@ -50,8 +50,15 @@ impl DragBasis {
         let dark = |_: u32, _: &Surfel, _: bool, _: &mut crate::random::Pcg32, _: &mut u64| Vec3::ZERO;
         let source = Source { radiance: dark, looked_up: &[], skies: &[], spots: None };
         let work = Work::new(observer);
-        let exchange =
-            Exchange::trace(world, &subset, &rows, &source, Paths::Each(PATHS), subseed(seed, 0xd4a6), &work)?;
+        let exchange = Exchange::trace(
+            world,
+            &subset,
+            &rows,
+            &source,
+            Paths::Each(PATHS),
+            PartSeed::whole(subseed(seed, 0xd4a6)),
+            &work,
+        )?;
         Ok(DragBasis { space: world.space.clone(), slots: world.computed_slots(), subset, exchange })
     }
 
@@ -88,7 +95,14 @@ impl DragBasis {
         Ok(Some(whole_of(layers, map, &transition.before.scene, &world.scene)))
     }
 
-    fn layer(&self, world: &World, header: &Header, old: &Layer, seed: u64, work: &Work) -> Result<Layer, Canceled> {
+    fn layer(
+        &self,
+        world: &World,
+        header: &LayerHeader,
+        old: &Layer,
+        seed: u64,
+        work: &Work,
+    ) -> Result<Layer, Canceled> {
         let lit = world.only_layers(std::slice::from_ref(header), &[Vec3::ONE]);
         let found: Vec<Vec3> = direct_of(&lit, &self.slots, LIGHT_SAMPLES, &Effort::default(), seed, work)?;
         let mut direct = vec![Vec3::ZERO; world.slots()];

@@ -1,7 +1,7 @@
-//! What a round gives, as a value that other processes can send: bytes of a format of its own.
+//! What a part of a round gives, as a value that other processes can send: bytes of a format of its own.
 //!
-//! Little-endian: `RBKEST01`, the round's index, its samples per element and the number of layers (`u32` each), the
-//! number of slots (`u64`), then direct and indirect light of all slots as `f32`, linear RGB, the layers of a slot side by
+//! Little-endian: `RBKEST02`, the round's index, the part, its samples per element and the number of layers (`u32` each),
+//! the number of slots (`u64`), then direct and indirect light of all slots as `f32`, linear RGB, the layers of a slot side by
 //! side.
 
 use glam::Vec3;
@@ -9,15 +9,17 @@ use glam::Vec3;
 use crate::lightmap::{LightValues, MAX_LAYERS};
 use crate::value::Value;
 
-const MAGIC: &[u8; 8] = b"RBKEST01";
-const HEADER: usize = MAGIC.len() + 3 * size_of::<u32>() + size_of::<u64>();
+const MAGIC: &[u8; 8] = b"RBKEST02";
+const HEADER: usize = MAGIC.len() + 4 * size_of::<u32>() + size_of::<u64>();
 const BYTES_PER_VALUE: usize = 2 * 3 * size_of::<f32>();
 
-/// Light as one round has found it.
+/// Light as one part of a round has found it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Estimate {
-    /// Which round of its job it is; its seed follows from that.
-    pub index: u32,
+    /// Which round of its bake it is of.
+    pub round: u32,
+    /// Which part of that.
+    pub part: u32,
     /// Samples per element, at least one.
     pub samples: u32,
     layers: usize,
@@ -47,25 +49,22 @@ pub enum EstimateError {
         /// Slots and layers of the estimate.
         found: (u64, u64),
     },
-    /// No samples, or with those of the others more than can be counted.
-    #[error("the estimate has {0} samples per element, which is none or too many")]
-    Samples(u32),
-    /// Too many rounds before it are missing.
-    #[error("round {index} is too far ahead of round {next}, which is missing")]
-    Early {
-        /// Of the estimate.
-        index: u32,
-        /// The first round that has not come.
-        next: u32,
-    },
+    /// No samples.
+    #[error("the estimate has no samples")]
+    NoSamples,
 }
 
 impl Estimate {
     /// Of light with so many layers per slot.
-    pub(crate) fn new<V: Value>(index: u32, samples: u32, layers: usize, light: &LightValues<V>) -> Estimate {
+    pub(crate) fn new<V: Value>(
+        (round, part): (u32, u32),
+        samples: u32,
+        layers: usize,
+        light: &LightValues<V>,
+    ) -> Estimate {
         let apart = |values: &[V]| values.iter().flat_map(|value| (0..layers).map(|k| value.layer(k))).collect();
         let (direct, indirect) = (apart(&light.direct), apart(&light.indirect));
-        Estimate { index, samples, layers, light: LightValues { direct, indirect, variance: Vec::new() } }
+        Estimate { round, part, samples, layers, light: LightValues { direct, indirect, variance: Vec::new() } }
     }
 
     /// Its light, the layers of a slot together.
@@ -80,12 +79,23 @@ impl Estimate {
         ((self.light.len() / self.layers) as u64, self.layers as u64)
     }
 
+    /// Whether it is one of the missing parts of a round.
+    pub(crate) fn is_part_of(&self, round: u32, parts: &[u32], missing: &[u32], shape: (u64, u64)) -> bool {
+        let is_wanted = self.round == round && missing.contains(&self.part);
+        is_wanted && parts.get(self.part as usize) == Some(&self.samples) && self.shape() == shape
+    }
+
+    /// Whether all of its light is numbers.
+    pub fn is_finite(&self) -> bool {
+        self.light.direct.iter().chain(&self.light.indirect).all(|light| light.is_finite())
+    }
+
     /// Its bytes.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(HEADER + self.light.len() * BYTES_PER_VALUE);
         let (slots, layers) = self.shape();
         bytes.extend_from_slice(MAGIC);
-        for number in [self.index, self.samples, layers as u32] {
+        for number in [self.round, self.part, self.samples, layers as u32] {
             bytes.extend_from_slice(&number.to_le_bytes());
         }
         bytes.extend_from_slice(&slots.to_le_bytes());
@@ -102,10 +112,10 @@ impl Estimate {
     pub fn from_bytes(bytes: &[u8], slots: usize) -> Result<Estimate, EstimateError> {
         let rest = bytes.strip_prefix(MAGIC).ok_or(EstimateError::NotAnEstimate)?;
         let (header, values) = rest.split_at_checked(HEADER - MAGIC.len()).ok_or(EstimateError::NotAnEstimate)?;
-        let (numbers, count) = header.split_at(3 * size_of::<u32>());
+        let (numbers, count) = header.split_at(4 * size_of::<u32>());
         let mut numbers = numbers.as_chunks::<4>().0.iter().map(|number| u32::from_le_bytes(*number));
         let mut number = || numbers.next().ok_or(EstimateError::NotAnEstimate);
-        let (index, samples, layers) = (number()?, number()?, number()?);
+        let (round, part, samples, layers) = (number()?, number()?, number()?, number()?);
         let found = count.as_chunks::<8>().0.iter().map(|count| u64::from_le_bytes(*count)).sum();
         if found != slots as u64 || !(1..=MAX_LAYERS as u32).contains(&layers) {
             let (expected, found) = ((slots as u64, u64::from(layers)), (found, u64::from(layers)));
@@ -118,7 +128,7 @@ impl Estimate {
             return Err(EstimateError::Length { expected, found });
         }
         if samples == 0 {
-            return Err(EstimateError::Samples(samples));
+            return Err(EstimateError::NoSamples);
         }
         let float = |bytes: &[u8; 4]| f32::from_le_bytes(*bytes);
         let values = values.as_chunks::<12>().0.iter().map(|value| {
@@ -127,7 +137,7 @@ impl Estimate {
         });
         let mut direct: Vec<Vec3> = values.collect();
         let indirect = direct.split_off(slots * layers);
-        Ok(Estimate { index, samples, layers, light: LightValues { direct, indirect, variance: Vec::new() } })
+        Ok(Estimate { round, part, samples, layers, light: LightValues { direct, indirect, variance: Vec::new() } })
     }
 }
 
@@ -142,14 +152,17 @@ mod tests {
     fn estimate() -> impl Strategy<Value = (Estimate, usize)> {
         let light = |len: usize| prop::collection::vec(any::<[u32; 6]>(), len);
         (0_usize..40, 1..=MAX_LAYERS).prop_flat_map(move |(slots, layers)| {
-            (any::<u32>(), 1..=u32::MAX, light(slots * layers)).prop_map(move |(index, samples, values)| {
-                let part = |first: usize| {
-                    let value = move |bits: &[u32; 6]| Vec3::from([0, 1, 2].map(|k| f32::from_bits(bits[first + k])));
-                    values.iter().map(value).collect::<Vec<Vec3>>()
-                };
-                let light = LightValues { direct: part(0), indirect: part(3), variance: Vec::new() };
-                (Estimate { index, samples, layers, light }, slots)
-            })
+            (any::<[u32; 2]>(), 1..=u32::MAX, light(slots * layers)).prop_map(
+                move |([round, part], samples, values)| {
+                    let light = |first: usize| {
+                        let value =
+                            move |bits: &[u32; 6]| Vec3::from([0, 1, 2].map(|k| f32::from_bits(bits[first + k])));
+                        values.iter().map(value).collect::<Vec<Vec3>>()
+                    };
+                    let light = LightValues { direct: light(0), indirect: light(3), variance: Vec::new() };
+                    (Estimate { round, part, samples, layers, light }, slots)
+                },
+            )
         })
     }
 
@@ -159,7 +172,8 @@ mod tests {
             let bytes = estimate.to_bytes();
             let back = Estimate::from_bytes(&bytes, slots).expect("its own bytes");
             prop_assert_eq!(back.to_bytes(), bytes.clone());
-            prop_assert_eq!((back.index, back.samples, back.shape()), (estimate.index, estimate.samples, estimate.shape()));
+            prop_assert_eq!((back.round, back.part, back.samples), (estimate.round, estimate.part, estimate.samples));
+            prop_assert_eq!(back.shape(), estimate.shape());
             prop_assert!(Estimate::from_bytes(&bytes[..cut.index(bytes.len())], slots).is_err());
             prop_assert!(Estimate::from_bytes(&[&bytes[..], &[0]].concat(), slots).is_err());
             prop_assert!(Estimate::from_bytes(&bytes, slots + 1).is_err());
@@ -178,7 +192,7 @@ mod tests {
         #[test]
         fn layers_go_apart_and_together((estimate, slots) in estimate()) {
             let bytes = |light: &LightValues<Layered<16>>| {
-                Estimate::new(estimate.index, estimate.samples, estimate.layers, light).to_bytes()
+                Estimate::new((estimate.round, estimate.part), estimate.samples, estimate.layers, light).to_bytes()
             };
             let light = estimate.light();
             prop_assert_eq!(light.len(), slots);

@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use crate::lightmap::LightMap;
+use crate::estimate::Estimate;
+use crate::lightmap::{LayerHeader, LightMap};
 
 /// When to stop. The first bound that is reached ends the work; time is the caller's (see [`Observer::plan_round`]).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -85,6 +86,31 @@ pub enum Snapshot {
     },
 }
 
+/// A round of a bake whose parts may be done elsewhere, by who has the world and nothing else
+/// ([`crate::PartBaker`]).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Offer<'a> {
+    /// Of the bake; seeds of its rounds derive from it.
+    pub seed: u64,
+    /// Layers along the same rays; empty where all light is one.
+    pub layers: &'a [LayerHeader],
+    /// Which round it is.
+    pub round: u32,
+    /// How many times the nominal number of samples each slot gets; empty where all get it once.
+    pub effort: &'a [u8],
+    /// Samples per element of each of its parts.
+    pub parts: &'a [u32],
+}
+
+/// What a bake does next, asked of [`Observer::next_part`].
+#[derive(Clone, Debug, PartialEq)]
+pub enum NextPart {
+    /// This part, here.
+    Run(u32),
+    /// It takes this one as it was done elsewhere.
+    Take(Estimate),
+}
+
 /// The caller's side of a running job. Called from the thread that runs the job, [`Observer::canceled`] from all.
 pub trait Observer: Sync {
     /// Asked at every tile: true ends the work with [`Canceled`].
@@ -110,6 +136,16 @@ pub trait Observer: Sync {
     /// Whether a [`Snapshot::Estimate`] is of use; else nothing is computed for it.
     fn wants_estimates(&self) -> bool {
         false
+    }
+
+    /// A round of a bake begins whose parts may be done elsewhere.
+    fn offer(&self, _offer: &Offer<'_>) {}
+
+    /// Which of the parts of the offered round that are still missing, ascending and never none, is to be done here now,
+    /// or what has come of one elsewhere. What the round gives does not depend on where they were done, nor on the order
+    /// in which they come. May wait.
+    fn next_part(&self, missing: &[u32]) -> NextPart {
+        NextPart::Run(missing[0])
     }
 
     /// A consistent light map, better than the one before, and what it holds. Cheap: the map is shared.

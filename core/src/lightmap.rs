@@ -1,7 +1,7 @@
 //! The light map: what is stored per element.
 
 use std::borrow::Cow;
-use std::ops::AddAssign;
+use std::ops::{AddAssign, Mul};
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -61,6 +61,15 @@ pub struct Layer {
     pub light: LightValues,
 }
 
+/// A layer without its values.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LayerHeader {
+    /// As [`Layer::name`].
+    pub name: String,
+    /// As [`Layer::lights`].
+    pub lights: Vec<LayerLight>,
+}
+
 /// A light of a layer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayerLight {
@@ -112,6 +121,19 @@ impl<V: Copy + Default + Send + Sync + AddAssign> LightValues<V> {
             (self.direct[slot], self.indirect[slot]) = (V::default(), V::default());
         }
         self
+    }
+
+    /// Adds light times a weight; it is all there is where it is the first.
+    pub(crate) fn add_weighted(&mut self, light: &LightValues<V>, weight: f32, is_first: bool)
+    where
+        V: Mul<f32, Output = V>,
+    {
+        if is_first {
+            self.blacken(light.direct.len());
+        }
+        for (sum, light) in [(&mut self.direct, &light.direct), (&mut self.indirect, &light.indirect)] {
+            sum.par_iter_mut().zip(light).with_min_len(CHUNK).for_each(|(sum, light)| *sum += *light * weight);
+        }
     }
 
     /// Adds indirect light.

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use crate::batches::{BATCHES, mean_of, shares};
 use crate::job::{Canceled, Observer};
 use crate::lightmap::{LightMap, LightPart};
-use crate::random::{Pcg32, R2, subseed};
+use crate::random::{Draws, PartSeed, subseed};
 use crate::sampling::cosine_hemisphere;
 use crate::space::ray_offset;
 use crate::transport::{DirectLight, Field, Rough};
@@ -68,8 +68,8 @@ pub fn light_at(
         let part = |k: usize| match shares[k] {
             0 => (0, Vec3::ZERO),
             count => {
-                let mut rng = Pcg32::new(subseed(options.seed, k as u64), index as u64);
-                (count, estimate(world, &field, from, options.part, count, &mut rng))
+                let mut draws = PartSeed::whole(subseed(options.seed, k as u64)).draws(index as u64);
+                (count, estimate(world, &field, from, options.part, count, &mut draws))
             }
         };
         let (mean, error) = mean_of(&std::array::from_fn::<_, BATCHES, _>(part));
@@ -85,16 +85,17 @@ fn estimate(
     from: (Vec3, Vec3),
     part: LightPart,
     samples: u32,
-    rng: &mut Pcg32,
+    draws: &mut Draws,
 ) -> Vec3 {
     let (mut light, rays) = (Vec3::ZERO, &mut 0);
     if part != LightPart::Indirect {
-        light += DirectLight::new(world, samples).estimate::<Vec3>(world, from, 1, rng, rays);
+        light += DirectLight::new(world, samples).estimate::<Vec3>(world, from, 1, draws, rays);
     }
     if part == LightPart::Direct {
         return light;
     }
-    let (source, sequence) = (field.source(world, None), R2::new(rng));
+    let (source, sequence) = (field.source(world, None), draws.sequence(samples));
+    let rng = &mut draws.own;
     let mut gathered = Vec3::ZERO;
     for k in 0..samples {
         let direction = cosine_hemisphere(from.1, sequence.get(k));

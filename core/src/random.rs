@@ -61,6 +61,10 @@ pub struct R2 {
     shift: [u32; 2],
 }
 
+/// 1/φ₂ and 1/φ₂² (φ₂ = 1.3247…, the plastic number) as 0.32 fixed point.
+const X: u32 = 3_242_174_889;
+const Y: u32 = 2_447_445_414;
+
 impl R2 {
     /// A sequence with a shift drawn from `rng`.
     #[inline]
@@ -68,13 +72,73 @@ impl R2 {
         R2 { shift: [rng.next_u32(), rng.next_u32()] }
     }
 
+    /// The same sequence from its point `index` on.
+    #[inline]
+    pub fn from_point(self, index: u32) -> R2 {
+        let [x, y] = self.shift;
+        R2 { shift: [X.wrapping_mul(index).wrapping_add(x), Y.wrapping_mul(index).wrapping_add(y)] }
+    }
+
     /// Point `index`, in [0, 1)².
     #[inline]
     pub fn get(&self, index: u32) -> [f32; 2] {
-        // 1/φ₂ and 1/φ₂² (φ₂ = 1.3247…, the plastic number) as 0.32 fixed point.
-        let x = index.wrapping_mul(3_242_174_889).wrapping_add(self.shift[0]);
-        let y = index.wrapping_mul(2_447_445_414).wrapping_add(self.shift[1]);
+        let x = index.wrapping_mul(X).wrapping_add(self.shift[0]);
+        let y = index.wrapping_mul(Y).wrapping_add(self.shift[1]);
         [(x >> 8) as f32 * (1.0 / 16_777_216.0), (y >> 8) as f32 * (1.0 / 16_777_216.0)]
+    }
+}
+
+/// The seed of a part of a round. Parts go on with each other's low-discrepancy sequences: together they are as good as
+/// if they had been one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct PartSeed {
+    /// Of the round.
+    pub seed: u64,
+    /// Parts before it; all have as many samples as it has, or a few more.
+    pub part: u32,
+}
+
+impl PartSeed {
+    /// Of a round that is not divided.
+    pub(crate) fn whole(seed: u64) -> PartSeed {
+        PartSeed { seed, part: 0 }
+    }
+
+    /// For one of the things that it does.
+    pub(crate) fn of(self, label: u64) -> PartSeed {
+        PartSeed { seed: subseed(self.seed, label), ..self }
+    }
+
+    /// The numbers of an element.
+    #[inline]
+    pub(crate) fn draws(self, element: u64) -> Draws {
+        let PartSeed { seed, part } = self;
+        let own = Pcg32::new(subseed(seed, 0x9a47 + u64::from(part)), element);
+        Draws { of_round: Pcg32::new(seed, element), own, part }
+    }
+}
+
+/// Random numbers of an element in a part of a round.
+#[derive(Clone, Debug)]
+pub(crate) struct Draws {
+    /// The same in all parts.
+    pub of_round: Pcg32,
+    /// Others in every part.
+    pub own: Pcg32,
+    part: u32,
+}
+
+impl Draws {
+    /// The next sequence, of which every part takes `count` points.
+    #[inline]
+    pub(crate) fn sequence(&mut self, count: u32) -> R2 {
+        R2::new(&mut self.of_round).from_point(self.part.wrapping_mul(count))
+    }
+
+    /// Points of a sequence that parts before this one have, where each takes `count`.
+    #[inline]
+    pub(crate) fn before(&self, count: u32) -> u32 {
+        self.part.wrapping_mul(count)
     }
 }
 
@@ -82,6 +146,21 @@ impl R2 {
 mod tests {
     use super::*;
     use crate::metrics::Family;
+
+    #[test]
+    fn parts_go_on_with_the_sequence_and_draw_the_rest_anew() {
+        let draws = |part| PartSeed { seed: 5, part }.draws(7);
+        let (whole, count) = (draws(0).sequence(12), 4);
+        for part in 0..3 {
+            let mut draws = draws(part);
+            let sequence = draws.sequence(count);
+            (0..count).for_each(|k| assert_eq!(sequence.get(k), whole.get(part * count + k)));
+            assert_ne!(draws.sequence(count).get(0), sequence.get(0));
+            assert_eq!(draws.before(count), part * count);
+        }
+        let own: Vec<u32> = (0..3).map(|part| draws(part).own.next_u32()).collect();
+        assert!(own[0] != own[1] && own[1] != own[2] && own[0] != own[2]);
+    }
 
     #[test]
     fn streams_are_reproducible_and_differ() {

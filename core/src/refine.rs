@@ -44,7 +44,8 @@ pub(crate) fn refine_with(
     let improve = |new: LightMap| {
         if new.light.variance.iter().any(|v| *v > 0.0) { blend(world, map, new) } else { map.clone() }
     };
-    let goal = Goal { budget, importance: &Importance::default(), seed, estimates: false, guesses: false };
+    let importance = &Importance::default();
+    let goal = Goal { budget, importance, seed, estimates: false, guesses: false, offers: true };
     bake_map(world, &headers_of_layers(map), &improve, &goal, work)
 }
 

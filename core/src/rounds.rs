@@ -1,5 +1,6 @@
 //! The loop that bakes and updates share: rounds of growing size until a budget or the caller ends them.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -7,16 +8,19 @@ use glam::Vec3;
 use crate::accumulate::Accumulator;
 use crate::focus::Focus;
 use crate::importance::Importance;
-use crate::job::{Budget, Canceled, Pass, Progress, Snapshot};
+use crate::job::{Budget, Canceled, NextPart, Offer, Pass, Progress, Snapshot};
 use crate::layers::{Apart, Stack};
 use crate::lightmap::{LightMap, LightValues};
-use crate::random::subseed;
+use crate::random::{PartSeed, subseed};
 use crate::transport::Work;
 use crate::value::Value;
 use crate::world::{Validity, World};
 
 /// Samples per element of the first two rounds; every later round doubles the total.
 const FIRST_SAMPLES: u32 = 4;
+
+/// Samples per element of a part of a round, at most: each solves for its own bounces, which takes that many.
+const PART_SAMPLES: u32 = 16;
 
 /// What one round is told beside its prior.
 #[derive(Clone, Copy)]
@@ -27,8 +31,17 @@ pub(crate) struct Round<'a> {
     pub earlier: u32,
     /// This round's own seed.
     pub seed: u64,
+    /// Which part of the round it is: those before it have as many samples, or one more.
+    pub part: u32,
     /// Tells the caller which pass begins; `f32` is the part of the round that is done.
     pub begin: &'a dyn Fn(Pass, f32),
+}
+
+impl Round<'_> {
+    /// The seed that the parts of the round share.
+    pub(crate) fn part_seed(&self) -> PartSeed {
+        PartSeed { seed: self.seed, part: self.part }
+    }
 }
 
 /// What is estimated in independent rounds. A round is a function of what it is told: it leaves nothing behind.
@@ -50,6 +63,17 @@ pub(crate) trait Estimator<V> {
 
     /// One independent estimate, written over `out`.
     fn round(&self, prior: &Self::Prior, round: &Round, out: &mut LightValues<V>) -> Result<(), Canceled>;
+
+    /// What others are told who do parts of rounds that go by `prior`; none where rounds are not done in parts.
+    fn offer<'a>(&'a self, _prior: &'a Self::Prior) -> Option<Offer<'a>> {
+        None
+    }
+}
+
+/// Samples per element of the parts of a round: as equal as can be, the larger first.
+fn parts_of(samples: u32) -> Vec<u32> {
+    let count = samples.div_ceil(PART_SAMPLES).max(1);
+    (0..count).map(|part| samples / count + u32::from(part < samples % count)).collect()
 }
 
 /// What a run of rounds is for.
@@ -85,6 +109,8 @@ pub(crate) struct Goal<'a> {
     /// A first round states the error that it is guessed to have. What is averaged by its variance waits until it is
     /// known.
     pub guesses: bool,
+    /// Rounds are done in parts, which may be done elsewhere.
+    pub offers: bool,
 }
 
 impl Goal<'_> {
@@ -266,7 +292,7 @@ impl Rounds<'_> {
         let observer = self.work.observer();
         let mut sum = Accumulator::new(self.weights, self.world.stated());
         let (mut light, mut judged) = (LightValues::default(), Judged { estimated_rmse: None, enough: false });
-        for index in 0.. {
+        for index in 0_u32.. {
             let left = self.budget.samples_per_element.saturating_sub(sum.samples());
             if judged.enough {
                 break;
@@ -288,11 +314,12 @@ impl Rounds<'_> {
                 return Ok(Ran { sum, prior, was_ended: true });
             }
             let begin = |pass, fraction| observer.progress(&progress(pass, samples, fraction));
-            let round = Round { samples, earlier: sum.samples(), seed: subseed(self.seed, index), begin: &begin };
+            let seed = subseed(self.seed, index.into());
+            let round = Round { samples, earlier: sum.samples(), seed, part: 0, begin: &begin };
             let known = match prior {
                 Some(last) if round.earlier > 0 => {
                     let prior = estimator.prior(last, &sum);
-                    estimator.round(&prior, &round, &mut light)?;
+                    self.run_parts(estimator, &prior, (index, &round), &mut light)?;
                     prior
                 }
                 known => estimator.first_round(known, &round, &mut light)?,
@@ -302,6 +329,52 @@ impl Rounds<'_> {
             prior = Some(known);
         }
         Ok(Ran { sum, prior, was_ended: false })
+    }
+
+    /// One round, written over `light`: where it is large and the estimator allows it, as the mean of parts that may be
+    /// done elsewhere. Where they were done makes no difference to a bit.
+    fn run_parts<V: Value, E: Estimator<V>>(
+        &self,
+        estimator: &E,
+        prior: &E::Prior,
+        (index, round): (u32, &Round),
+        light: &mut LightValues<V>,
+    ) -> Result<(), Canceled> {
+        let parts = parts_of(round.samples);
+        let Some(offer) = estimator.offer(prior).filter(|_| parts.len() > 1) else {
+            return estimator.round(prior, round, light);
+        };
+        let observer = self.work.observer();
+        observer.offer(&Offer { round: index, parts: &parts, ..offer });
+        let shape = (self.world.slots() as u64, self.weights.len() as u64);
+        let (mut found, mut added, mut spare) = (BTreeMap::<u32, LightValues<V>>::new(), 0, LightValues::default());
+        let count = parts.len() as u32;
+        while added < count {
+            if let Some(part) = found.remove(&added) {
+                light.add_weighted(&part, parts[added as usize] as f32 / round.samples as f32, added == 0);
+                (added, spare) = (added + 1, part);
+                continue;
+            }
+            self.work.check()?;
+            let missing: Vec<u32> = (added..count).filter(|part| !found.contains_key(part)).collect();
+            let (part, values) = match observer.next_part(&missing) {
+                NextPart::Take(estimate) if estimate.is_part_of(index, &parts, &missing, shape) => {
+                    (estimate.part, estimate.light())
+                }
+                next => {
+                    let asked = if let NextPart::Run(part) = next { part } else { missing[0] };
+                    let part = if missing.contains(&asked) { asked } else { missing[0] };
+                    let done = (added as usize + found.len()) as f32;
+                    let begin = |pass, fraction| (round.begin)(pass, (done + fraction) / count as f32);
+                    let samples = parts[part as usize];
+                    let mut values = std::mem::take(&mut spare);
+                    estimator.round(prior, &Round { samples, part, begin: &begin, ..*round }, &mut values)?;
+                    (part, values)
+                }
+            };
+            found.insert(part, values);
+        }
+        Ok(())
     }
 
     fn progress<V: Value>(

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Header, Layer, Stack, whole, whole_with};
+use super::{Layer, LayerHeader, Stack, whole, whole_with};
 use crate::accumulate::Accumulator;
 use crate::lightmap::{LightMap, LightValues};
 use crate::value::Value;
@@ -150,8 +150,8 @@ impl Apart {
     }
 
     /// The layers, with their headers.
-    pub(crate) fn named(self, headers: &[Header]) -> Computed {
-        let named = |(light, header): (LightValues, &Header)| {
+    pub(crate) fn named(self, headers: &[LayerHeader]) -> Computed {
+        let named = |(light, header): (LightValues, &LayerHeader)| {
             Arc::new(Layer { name: header.name.clone(), lights: header.lights.clone(), light })
         };
         Computed { layers: self.layers.into_iter().zip(headers).map(named).collect(), variance: self.variance }

@@ -22,9 +22,9 @@ use crate::scene::Scene;
 use crate::transport::black;
 use crate::world::{Emitters, World};
 
-pub use crate::lightmap::{Layer, LayerLight, LightValues, MAX_GROUPS, MAX_LAYERS};
+pub use crate::lightmap::{Layer, LayerHeader, LayerLight, LightValues, MAX_GROUPS, MAX_LAYERS};
 pub(crate) use apart::{Apart, Computed, Old};
-pub(crate) use plan::{Header, Plan, groups_of, headers_of_layers, moved_layers, wants_layers};
+pub(crate) use plan::{Plan, groups_of, headers_of_layers, is_new, moved_layers, wants_layers};
 pub(crate) use regroup::{Pieces, renamed};
 pub(crate) use stack::{Stack, weights_within};
 
@@ -60,7 +60,7 @@ pub(crate) fn strength_of(scene: &Scene, name: &str) -> Option<Vec3> {
 }
 
 /// What the layers of some headers weigh in a scene.
-pub(crate) fn weights_of(headers: &[Header], scene: &Scene) -> Vec<Vec3> {
+pub(crate) fn weights_of(headers: &[LayerHeader], scene: &Scene) -> Vec<Vec3> {
     headers.iter().map(|header| weight_of(&header.lights, scene).unwrap_or(Vec3::ONE)).collect()
 }
 
@@ -176,7 +176,7 @@ const LEAST_IMPORTANCE: f32 = 0.05;
 impl World {
     /// This world with the lights of some layers only, at reference strengths, each tagged with its layer's position in
     /// `layers`. `weights` tell how much their samples matter.
-    pub(crate) fn only_layers(&self, layers: &[Header], weights: &[Vec3]) -> World {
+    pub(crate) fn only_layers(&self, layers: &[LayerHeader], weights: &[Vec3]) -> World {
         let mut list = Vec::new();
         for (index, layer) in layers.iter().enumerate() {
             for light in &layer.lights {

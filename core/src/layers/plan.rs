@@ -4,23 +4,14 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use glam::Vec3;
 
-use super::{LayerLight, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER, strength_of, weight_of};
+use super::{LayerHeader, LayerLight, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER, strength_of, weight_of};
 use crate::lightmap::LightMap;
 use crate::scene::Scene;
 use crate::world::Transition;
 
-/// A layer without its values.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Header {
-    pub name: String,
-    pub lights: Vec<LayerLight>,
-}
-
-impl Header {
-    /// Whether none of its lights was there, at that place, before.
-    pub(crate) fn is_new(&self, before: &Scene, after: &Scene) -> bool {
-        self.lights.iter().all(|light| kind_of(before, &light.name) != kind_of(after, &light.name))
-    }
+/// Whether none of a layer's lights was there, at that place, before.
+pub(crate) fn is_new(header: &LayerHeader, before: &Scene, after: &Scene) -> bool {
+    header.lights.iter().all(|light| kind_of(before, &light.name) != kind_of(after, &light.name))
 }
 
 /// What a layer is put together from.
@@ -35,7 +26,7 @@ pub(crate) enum Piece {
 /// A layer and its pieces, each with its factor.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Planned {
-    pub header: Header,
+    pub header: LayerHeader,
     pub pieces: Vec<(Piece, Vec3)>,
 }
 
@@ -43,44 +34,44 @@ pub(crate) struct Planned {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Plan {
     /// Lights whose own light has to be computed in the old scene, because they leave a layer that others stay in.
-    pub leaving: Vec<Header>,
+    pub leaving: Vec<LayerHeader>,
     /// The old light in its new layers. Those whose lights are all gone come without a place in the new map.
     pub regrouped: Vec<Planned>,
     /// Layers of the new map, with the position in `regrouped` of those that are not new.
-    pub after: Vec<(Header, Option<usize>)>,
+    pub after: Vec<(LayerHeader, Option<usize>)>,
     /// Positions in `after` whose lights come, go, move or change unlike one another.
     pub changed: Vec<usize>,
 }
 
 /// Headers of the layers of a map; one of all lights, at their present strength, where it has none.
-pub(super) fn headers_of(map: &LightMap, scene: &Scene) -> Vec<Header> {
+pub(super) fn headers_of(map: &LightMap, scene: &Scene) -> Vec<LayerHeader> {
     if map.layers.is_empty() {
-        return vec![Header { name: SHARED_LAYER.to_owned(), lights: at_present(scene, |_| true) }];
+        return vec![LayerHeader { name: SHARED_LAYER.to_owned(), lights: at_present(scene, |_| true) }];
     }
     headers_of_layers(map)
 }
 
 /// Headers of the layers that a map has.
-pub(crate) fn headers_of_layers(map: &LightMap) -> Vec<Header> {
-    map.layers.iter().map(|layer| Header { name: layer.name.clone(), lights: layer.lights.clone() }).collect()
+pub(crate) fn headers_of_layers(map: &LightMap) -> Vec<LayerHeader> {
+    map.layers.iter().map(|layer| LayerHeader { name: layer.name.clone(), lights: layer.lights.clone() }).collect()
 }
 
 /// Layers of a scene that is baked: one per group, one of the lights in none; empty where there is no group. Of more
 /// than [`MAX_GROUPS`], which no edit makes, the first by name count.
-pub(crate) fn groups_of(scene: &Scene) -> Vec<Header> {
+pub(crate) fn groups_of(scene: &Scene) -> Vec<LayerHeader> {
     if scene.groups.is_empty() {
         return Vec::new();
     }
     let named: BTreeSet<&String> = scene.groups.values().collect();
     let named: BTreeSet<&String> = named.into_iter().take(MAX_GROUPS).collect();
-    let mut groups: BTreeMap<&str, Header> = BTreeMap::new();
+    let mut groups: BTreeMap<&str, LayerHeader> = BTreeMap::new();
     for light in &scene.lights {
         let group = scene.groups.get(&light.name).filter(|name| named.contains(name));
         let name = group.map_or(SHARED_LAYER, String::as_str);
-        let header = groups.entry(name).or_insert_with(|| Header { name: name.to_owned(), lights: Vec::new() });
+        let header = groups.entry(name).or_insert_with(|| LayerHeader { name: name.to_owned(), lights: Vec::new() });
         header.lights.push(LayerLight { name: light.name.clone(), reference: light.strength() });
     }
-    let mut headers: Vec<Header> = groups.into_values().collect();
+    let mut headers: Vec<LayerHeader> = groups.into_values().collect();
     headers.iter_mut().for_each(at_unit);
     headers
 }
@@ -91,7 +82,7 @@ fn at_present(scene: &Scene, wanted: impl Fn(&str) -> bool) -> Vec<LayerLight> {
 }
 
 /// A light alone in its layer is held at unit emission.
-fn at_unit(header: &mut Header) {
+fn at_unit(header: &mut LayerHeader) {
     if let [light] = header.lights.as_mut_slice() {
         light.reference = Vec3::ONE;
     }
@@ -124,7 +115,7 @@ impl Plan {
     }
 
     /// Puts the lights of an old layer where they belong.
-    fn divide(&mut self, index: usize, header: &Header, before: &Scene, after: &Scene, quota: &mut Quota) {
+    fn divide(&mut self, index: usize, header: &LayerHeader, before: &Scene, after: &Scene, quota: &mut Quota) {
         let mut targets: BTreeMap<Target, Vec<LayerLight>> = BTreeMap::new();
         for (light, target) in header.lights.iter().zip(targets_of(header, before, after, quota)) {
             targets.entry(target).or_default().push(light.clone());
@@ -139,7 +130,7 @@ impl Plan {
                 continue;
             }
             let piece = Piece::Leaving(self.leaving.len());
-            let mut leaving = Header { name: String::new(), lights: lights.clone() };
+            let mut leaving = LayerHeader { name: String::new(), lights: lights.clone() };
             let single = matches!(target, Target::Alone(_));
             if single {
                 at_unit(&mut leaving);
@@ -164,7 +155,7 @@ impl Plan {
         lights: Vec<LayerLight>,
         pieces: Vec<(Piece, Vec3)>,
         before: &Scene,
-        from: &Header,
+        from: &LayerHeader,
     ) {
         let name = match target {
             Target::Stays => from.name.clone(),
@@ -173,11 +164,11 @@ impl Plan {
         let same_group = |p: &&mut Planned| matches!(target, Target::Group(_)) && p.header.name == name;
         let Some(there) = self.regrouped.iter_mut().find(same_group) else {
             let name = self.free_name(name);
-            self.regrouped.push(Planned { header: Header { name, lights }, pieces });
+            self.regrouped.push(Planned { header: LayerHeader { name, lights }, pieces });
             return;
         };
         // Layers of different weight are joined at present strength.
-        let mut new = Planned { header: Header { name, lights }, pieces };
+        let mut new = Planned { header: LayerHeader { name, lights }, pieces };
         there.fold(before);
         new.fold(before);
         there.header.lights.extend(new.header.lights);
@@ -241,7 +232,7 @@ impl Plan {
         let name = group.map_or(name, String::as_str).to_owned();
         let taken = |name: &str| self.after.iter().any(|(header, _)| header.name == name);
         let name = if taken(&name) { format!("{name}'") } else { name };
-        let mut header = Header { name, lights: vec![light] };
+        let mut header = LayerHeader { name, lights: vec![light] };
         if group.is_none() {
             at_unit(&mut header);
         }
@@ -253,18 +244,18 @@ impl Plan {
 
 /// Positions of the layers of a map whose lights all move, where an edit does nothing else, with their headers after
 /// it.
-pub(crate) fn moved_layers(transition: &Transition, map: &LightMap) -> Option<Vec<(usize, Header)>> {
+pub(crate) fn moved_layers(transition: &Transition, map: &LightMap) -> Option<Vec<(usize, LayerHeader)>> {
     if map.layers.is_empty() || transition.changes_surfaces() {
         return None;
     }
     let (before, after) = (&transition.before.scene, &transition.after.scene);
     let plan = Plan::new(before, after, map);
-    let stays = |(k, (header, origin)): (usize, &(Header, Option<usize>))| {
+    let stays = |(k, (header, origin)): (usize, &(LayerHeader, Option<usize>))| {
         *origin == Some(k) && header.name == map.layers[k].name && header.lights == map.layers[k].lights
     };
     let same_layers =
         plan.leaving.is_empty() && plan.after.len() == map.layers.len() && plan.after.iter().enumerate().all(stays);
-    let only_moves = plan.changed.iter().all(|&k| plan.after[k].0.is_new(before, after));
+    let only_moves = plan.changed.iter().all(|&k| is_new(&plan.after[k].0, before, after));
     let header = |&k: &usize| (k, plan.after[k].0.clone());
     (same_layers && only_moves && !plan.changed.is_empty()).then(|| plan.changed.iter().map(header).collect())
 }
@@ -285,7 +276,7 @@ struct Quota {
 }
 
 impl Quota {
-    fn new(old: &[Header]) -> Quota {
+    fn new(old: &[LayerHeader]) -> Quota {
         let known = old.iter().map(|header| header.name.clone()).collect();
         Quota { left: MAX_LAYERS.saturating_sub(old.len()), known }
     }
@@ -304,7 +295,7 @@ impl Quota {
 }
 
 /// Where the lights of a layer go, in their order.
-fn targets_of(header: &Header, before: &Scene, after: &Scene, quota: &mut Quota) -> Vec<Target> {
+fn targets_of(header: &LayerHeader, before: &Scene, after: &Scene, quota: &mut Quota) -> Vec<Target> {
     let group =
         |light: &LayerLight| after.groups.get(&light.name).filter(|_| strength_of(after, &light.name).is_some());
     let stay: Vec<&LayerLight> = header.lights.iter().filter(|light| group(light).is_none()).collect();

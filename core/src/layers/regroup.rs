@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use super::plan::{Header, Piece, Plan, Planned};
-use super::{Layer, variance_of};
+use super::plan::{Piece, Plan, Planned};
+use super::{Layer, LayerHeader, variance_of};
 use crate::lightmap::{LightMap, LightValues};
 
 /// What the layers of a plan are put together from.
@@ -32,7 +32,7 @@ impl Pieces<'_> {
         {
             return layer.clone();
         }
-        let Header { name, lights } = planned.header.clone();
+        let LayerHeader { name, lights } = planned.header.clone();
         let (old, mut light) = (self.map.parts(), LightValues::black(self.map.len()));
         for &(piece, factor) in &planned.pieces {
             match piece {
@@ -78,7 +78,7 @@ impl LightValues {
 }
 
 /// A layer under another header.
-pub(crate) fn renamed(layer: &Arc<Layer>, header: &Header) -> Arc<Layer> {
+pub(crate) fn renamed(layer: &Arc<Layer>, header: &LayerHeader) -> Arc<Layer> {
     if layer.name == header.name && layer.lights == header.lights {
         return layer.clone();
     }

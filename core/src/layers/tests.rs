@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
 
-use super::plan::{Header, Piece, Plan, groups_of, wants_layers};
-use super::{Layer, LayerLight, MAX_LAYERS, SHARED_LAYER, weight_of};
+use super::plan::{Piece, Plan, groups_of, wants_layers};
+use super::{Layer, LayerHeader, LayerLight, MAX_LAYERS, SHARED_LAYER, weight_of};
 use crate::lightmap::LightMap;
 use crate::scene::{Light, LightKind, Scene};
 
@@ -31,7 +31,7 @@ fn map(layers: &[(&str, &[(&str, f32)])]) -> LightMap {
 
 /// `name(light@reference light@reference) = pieces`, one per layer after the edit, and what changes.
 fn told(plan: &Plan) -> String {
-    let lights = |header: &Header| {
+    let lights = |header: &LayerHeader| {
         let lights = header.lights.iter().map(|l| format!("{}@{}", l.name, l.reference.x));
         lights.collect::<Vec<_>>().join(" ")
     };
@@ -39,7 +39,7 @@ fn told(plan: &Plan) -> String {
         Piece::Old(k) => format!("{:+} old {k}", factor.x),
         Piece::Leaving(k) => format!("{:+} [{}]", factor.x, lights(&plan.leaving[*k])),
     };
-    let layer = |(k, (header, origin)): (usize, &(Header, Option<usize>))| {
+    let layer = |(k, (header, origin)): (usize, &(LayerHeader, Option<usize>))| {
         let pieces: Vec<String> =
             origin.map(|o| plan.regrouped[o].pieces.iter().map(piece).collect()).unwrap_or_default();
         let changed = if plan.changed.contains(&k) { " (changed)" } else { "" };

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use super::rows::{NONE, offsets};
 use super::{Rows, Subset, gmres};
 use crate::job::Canceled;
-use crate::random::{Pcg32, subseed};
+use crate::random::{PartSeed, Pcg32};
 use crate::transport::{End, Radiance, Source, Work, gather_paths};
 use crate::value::Value;
 use crate::world::World;
@@ -87,13 +87,13 @@ impl<V: Value> Exchange<V> {
         rows: &Arc<Rows>,
         source: &Source<impl Radiance<V>, V>,
         paths: Paths,
-        seed: u64,
+        seed: PartSeed,
         work: &Work,
     ) -> Result<Exchange<V>, Canceled> {
         let offsets = paths.offsets(rows.len());
         let mut entries = vec![Entry { row: NONE, element: NONE, weight: Vec3::ZERO }; offsets[rows.len()]];
         let mut first = vec![V::default(); rows.len()];
-        let seed = subseed(seed, 0xec);
+        let seed = seed.of(0xec);
         let tasks = (0..rows.len()).step_by(CHUNK).zip(chunks(&offsets, &mut entries)).zip(first.chunks_mut(CHUNK));
         tasks.collect::<Vec<_>>().into_par_iter().try_for_each(|((row, (offsets, mut entries)), first)| {
             work.check()?;
@@ -172,12 +172,13 @@ fn trace_row<V: Value>(
     row: usize,
     source: &Source<impl Radiance<V>, V>,
     entries: &mut [Entry],
-    seed: u64,
+    seed: PartSeed,
     rays: &mut u64,
 ) -> V {
     let members = rows.members_of(row);
-    let mut rng = Pcg32::new(seed, u64::from(subset.slots[members[0] as usize]));
-    let turn = if members.len() > 1 { (rng.next_f32() * members.len() as f32) as usize } else { 0 };
+    let mut draws = seed.draws(subset.slots[members[0] as usize].into());
+    let turn = if members.len() > 1 { (draws.of_round.next_f32() * members.len() as f32) as usize } else { 0 };
+    let turn = turn + draws.before(entries.len() as u32) as usize;
     let begin = |k: u32| {
         let slot = subset.slots[members[(turn + k as usize) % members.len()] as usize];
         (slot, world.ray_origin(slot as usize))
@@ -190,5 +191,5 @@ fn trace_row<V: Value>(
             entries[k as usize] = Entry { row, element: surfel.element_by_weight(u[0]), weight };
         }
     };
-    gather_paths(world, source, paths, begin, ended, &mut rng, rays)
+    gather_paths(world, source, paths, begin, ended, &mut draws, rays)
 }

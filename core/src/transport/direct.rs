@@ -4,7 +4,7 @@ use glam::Vec3;
 
 use super::{Effort, Work};
 use crate::job::Canceled;
-use crate::random::{Pcg32, R2, subseed};
+use crate::random::{Draws, PartSeed, Pcg32};
 use crate::value::Value;
 use crate::world::{Emitter, World, visible_light};
 
@@ -38,7 +38,7 @@ impl DirectLight {
         world: &World,
         (point, n): (Vec3, Vec3),
         factor: u32,
-        rng: &mut Pcg32,
+        draws: &mut Draws,
         rays: &mut u64,
     ) -> V {
         let mut sum = V::default();
@@ -47,7 +47,7 @@ impl DirectLight {
                 continue;
             }
             let count = if emitter.is_delta() { count } else { count * factor };
-            let sequence = R2::new(rng);
+            let sequence = draws.sequence(count);
             let mut light = Vec3::ZERO;
             for k in 0..count {
                 light += visible_light(emitter, &world.trees, point, n, sequence.get(k), rays);
@@ -76,7 +76,7 @@ pub(crate) fn direct_of<V: Value>(
     seed: u64,
     work: &Work,
 ) -> Result<Vec<V>, Canceled> {
-    let direct = direct_at(world, samples, effort, seed);
+    let direct = direct_at(world, samples, effort, PartSeed::whole(seed));
     work.map(slots, |_, slot, rays| direct(slot, rays))
 }
 
@@ -85,12 +85,12 @@ pub(crate) fn direct_at<'a, V: Value>(
     world: &'a World,
     samples: u32,
     effort: &'a Effort,
-    seed: u64,
+    seed: PartSeed,
 ) -> impl Fn(u32, &mut u64) -> V + Sync + 'a {
     let direct = DirectLight::new(world, samples);
-    let seed = subseed(seed, 0xd1);
+    let seed = seed.of(0xd1);
     move |slot, rays| {
         let (from, factor) = (world.ray_origin(slot as usize), effort.factor(slot));
-        direct.estimate(world, from, factor, &mut Pcg32::new(seed, u64::from(slot)), rays)
+        direct.estimate(world, from, factor, &mut seed.draws(slot.into()), rays)
     }
 }

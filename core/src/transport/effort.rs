@@ -41,6 +41,18 @@ impl Effort {
         Effort { factors: (0..len).into_par_iter().with_min_len(CHUNK).map(factor).collect() }
     }
 
+    /// As [`Effort::factors`] has it; none where these are no factors of a world of so many slots.
+    pub(crate) fn of_factors(factors: &[u8], slots: usize) -> Option<Effort> {
+        let is_one = factors.is_empty()
+            || factors.len() == slots && factors.iter().all(|factor| (1..=MOST as u8).contains(factor));
+        is_one.then(|| Effort { factors: factors.to_vec() })
+    }
+
+    /// How many times the nominal number of samples each slot gets; empty where all get it once.
+    pub(crate) fn factors(&self) -> &[u8] {
+        &self.factors
+    }
+
     /// Samples of an element where most get `nominal`.
     #[inline]
     pub(crate) fn samples(&self, slot: u32, nominal: u32) -> u32 {

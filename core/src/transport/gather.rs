@@ -4,7 +4,7 @@ use super::incoming::{Radiance, Source};
 use super::spots::From;
 use super::{Effort, End, Work};
 use crate::job::Canceled;
-use crate::random::{Pcg32, R2, subseed};
+use crate::random::{Draws, PartSeed, Pcg32};
 use crate::sampling::cosine_hemisphere;
 use crate::value::Value;
 use crate::world::World;
@@ -19,7 +19,7 @@ pub(crate) fn gather<V: Value>(
     seed: u64,
     work: &Work,
 ) -> Result<Vec<V>, Canceled> {
-    let gathered = gathered(world, source, samples, effort, seed);
+    let gathered = gathered(world, source, samples, effort, PartSeed::whole(seed));
     work.map(slots, |_, slot, rays| gathered(slot, rays))
 }
 
@@ -29,13 +29,13 @@ pub(crate) fn gathered<'a, V: Value>(
     source: &'a Source<impl Radiance<V>, V>,
     samples: u32,
     effort: &'a Effort,
-    seed: u64,
+    seed: PartSeed,
 ) -> impl Fn(u32, &mut u64) -> V + Sync + 'a {
-    let seed = subseed(seed, 0x6a);
+    let seed = seed.of(0x6a);
     move |slot, rays| {
         let from = world.ray_origin(slot as usize);
-        let mut rng = Pcg32::new(seed, u64::from(slot));
-        gather_paths(world, source, effort.samples(slot, samples), |_| (slot, from), |_, _, _| {}, &mut rng, rays)
+        let draws = &mut seed.draws(slot.into());
+        gather_paths(world, source, effort.samples(slot, samples), |_| (slot, from), |_, _, _| {}, draws, rays)
     }
 }
 
@@ -48,11 +48,12 @@ pub(crate) fn gather_paths<V: Value>(
     paths: u32,
     begin: impl Fn(u32) -> (u32, From),
     mut ended: impl FnMut(u32, End, &mut Pcg32),
-    rng: &mut Pcg32,
+    draws: &mut Draws,
     rays: &mut u64,
 ) -> V {
-    let sequence = R2::new(rng);
     let aims = source.aims(paths);
+    let (sequence, aimed) = (draws.sequence(paths), draws.sequence(aims));
+    let rng = &mut draws.own;
     let ratio = aims as f32 / paths as f32;
     let (mut sum, mut last) = (V::default(), None);
     for k in 0..paths {
@@ -63,10 +64,9 @@ pub(crate) fn gather_paths<V: Value>(
         ended(k, end, rng);
     }
     source.add_landed(last.as_ref(), rng, rays, &mut sum);
-    let sequence = R2::new(rng);
     for k in 0..aims {
         let (slot, from) = begin(k);
-        sum += source.aimed(world, slot, from, sequence.get(k), ratio, rng, rays);
+        sum += source.aimed(world, slot, from, aimed.get(k), ratio, rng, rays);
     }
     sum / paths as f32
 }

@@ -5,7 +5,7 @@ use glam::Vec3;
 use super::direct::{direct_at, one_light};
 use super::{Effort, Rough, Spots, Target, Work, black};
 use crate::job::Canceled;
-use crate::random::{Pcg32, R2, subseed};
+use crate::random::{PartSeed, Pcg32, R2, subseed};
 use crate::space::ray_offset;
 use crate::value::Value;
 use crate::world::World;
@@ -26,7 +26,7 @@ impl Hint {
     /// Direct light that hints are made from, per slot.
     pub(crate) fn direct<V: Value>(world: &World, slots: &[u32], seed: u64, work: &Work) -> Result<Vec<V>, Canceled> {
         let mut direct = black(world.slots());
-        work.add(slots, &mut direct, direct_at(world, SAMPLES, &Effort::default(), seed))?;
+        work.add(slots, &mut direct, direct_at(world, SAMPLES, &Effort::default(), PartSeed::whole(seed)))?;
         world.validity.fill(&mut direct);
         Ok(direct)
     }

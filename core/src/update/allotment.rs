@@ -220,7 +220,7 @@ mod tests {
     use super::*;
     use crate::job::Unobserved;
     use crate::metrics::Family;
-    use crate::random::Pcg32;
+    use crate::random::{PartSeed, Pcg32};
     use crate::scene::{Material, Mesh, Object, Scene};
     use crate::solve::{Exchange, Paths};
     use crate::transport::{Source, Surfel, Work};
@@ -258,7 +258,8 @@ mod tests {
             s.footprint.map_or(Vec3::ZERO, |footprint| footprint.interpolate(change) * s.albedo)
         };
         let source = Source { radiance, looked_up: change, skies: &[], spots: None };
-        Exchange::trace(world, subset, rows, &source, paths, seed, &Work::new(&Unobserved)).expect("nobody cancels")
+        Exchange::trace(world, subset, rows, &source, paths, PartSeed::whole(seed), &Work::new(&Unobserved))
+            .expect("nobody cancels")
     }
 
     /// Means and variances over runs of what every row gathers.

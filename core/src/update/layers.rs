@@ -12,8 +12,8 @@ use crate::bake::bake_layers;
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer, Pass, Progress, Snapshot};
 use crate::layers::{
-    Apart, Computed, Header, Layer, Old, Pieces, Plan, correlation, renamed, wants_layers, weights_of, weights_within,
-    whole, whole_with,
+    Apart, Computed, Layer, LayerHeader, Old, Pieces, Plan, correlation, is_new, renamed, wants_layers, weights_of,
+    weights_within, whole, whole_with,
 };
 use crate::lightmap::{LightMap, LightValues};
 use crate::random::subseed;
@@ -35,7 +35,7 @@ pub(crate) fn update_layers(
         return None;
     }
     let plan = Plan::new(before, after, map);
-    let headers: Vec<Header> = plan.after.iter().map(|(header, _)| header.clone()).collect();
+    let headers: Vec<LayerHeader> = plan.after.iter().map(|(header, _)| header.clone()).collect();
     let weights = weights_of(&headers, after);
     let correlation = correlation(map, &map.layer_weights(before));
     Some(LayersUpdate { transition, map, goal, work, plan, weights, correlation }.run())
@@ -116,6 +116,7 @@ impl LayersUpdate<'_> {
             seed: subseed(self.goal.seed, 0x1ea),
             estimates: false,
             guesses: true,
+            offers: false,
         };
         let map = bake_layers(&self.transition.before, &self.plan.leaving, &finish, &goal, work)?;
         Ok(map.map(|map| (map, last.take())))
@@ -123,14 +124,14 @@ impl LayersUpdate<'_> {
 
     /// Layers of the new map that need no ray, with their new headers.
     fn unchanged(&self, regrouped: &[Arc<Layer>]) -> Vec<Arc<Layer>> {
-        let layer = |(header, origin): &(Header, Option<usize>)| Some(renamed(&regrouped[(*origin)?], header));
+        let layer = |(header, origin): &(LayerHeader, Option<usize>)| Some(renamed(&regrouped[(*origin)?], header));
         self.plan.after.iter().filter_map(layer).collect()
     }
 
     /// Brings layers up to date along the same rays.
     fn compute_changed(&self, changed: &[usize], regrouped: &[Arc<Layer>]) -> Result<Option<Updated>, Canceled> {
         // In slots of the new world; without a change of geometry those are the old ones.
-        let keep = |(k, (header, origin)): (usize, &(Header, Option<usize>))| {
+        let keep = |(k, (header, origin)): (usize, &(LayerHeader, Option<usize>))| {
             origin.filter(|_| !changed.contains(&k)).map(|index| renamed(&regrouped[index], header))
         };
         let kept: Vec<Option<Arc<Layer>>> = self.plan.after.iter().enumerate().map(keep).collect();
@@ -142,15 +143,15 @@ impl LayersUpdate<'_> {
                 None => whole(layers, &self.weights, self.correlation),
             }
         };
-        let headers: Vec<Header> = changed.iter().map(|&k| self.plan.after[k].0.clone()).collect();
+        let headers: Vec<LayerHeader> = changed.iter().map(|&k| self.plan.after[k].0.clone()).collect();
         let Transition { before, after, .. } = self.transition;
-        let is_new = |header: &Header| header.is_new(&before.scene, &after.scene);
-        if !self.transition.changes_surfaces() && headers.iter().all(is_new) {
+        let are_new = headers.iter().all(|header| is_new(header, &before.scene, &after.scene));
+        if !self.transition.changes_surfaces() && are_new {
             let map = bake_layers(after, &headers, &finish, self.goal, self.work)?;
             return Ok(map.map(|map| Updated { map, baked: false }));
         }
         let origins: Vec<Option<usize>> = changed.iter().map(|&k| self.plan.after[k].1).collect();
-        let old_headers: Vec<Header> = origins
+        let old_headers: Vec<LayerHeader> = origins
             .iter()
             .map(|origin| origin.map(|index| self.plan.regrouped[index].header.clone()).unwrap_or_default())
             .collect();
@@ -172,7 +173,7 @@ impl LayersUpdate<'_> {
 struct Change<'a> {
     /// With the lights of these layers only.
     transition: &'a Transition,
-    headers: Vec<Header>,
+    headers: Vec<LayerHeader>,
     weights: Vec<Vec3>,
     guides: Vec<Vec3>,
     /// Before the edit, in its slots.

@@ -65,7 +65,7 @@ pub fn update(
     let work = Work::new(observer);
     let importance = &importance.copied().unwrap_or_default();
     let budget = &importance.budget(budget);
-    let goal = Goal { budget, importance, seed: subseed(seed, 0xed17), estimates: false, guesses: true };
+    let goal = Goal { budget, importance, seed: subseed(seed, 0xed17), estimates: false, guesses: true, offers: false };
     let updated = match update_layers(transition, map, &goal, &work) {
         Some(updated) => updated?,
         None => update_whole(transition, map, &goal, &work)?,

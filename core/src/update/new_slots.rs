@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::updater::Updater;
 use crate::job::Canceled;
-use crate::random::subseed;
+use crate::random::{PartSeed, subseed};
 use crate::rounds::Round;
 use crate::solve::{Exchange, Paths, Rows};
 use crate::transport::direct::direct_of;
@@ -68,7 +68,7 @@ impl<V: Value> Updater<'_, V> {
         let rows = Arc::new(Rows::only(&self.subset, |slot| is_new[slot as usize]));
         let rough = Rough::default();
         let light = Field { total: field, direct: field, rough: &rough };
-        let seed = subseed(seed, 0x5e1f);
+        let seed = PartSeed::whole(subseed(seed, 0x5e1f));
         let exchange = Exchange::trace(
             world,
             &self.subset,

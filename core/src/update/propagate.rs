@@ -9,7 +9,7 @@ use super::allotment::{ALBEDO, Allotment};
 use super::updater::{CHUNK, Updater};
 use crate::job::{Canceled, Pass};
 use crate::lightmap::LightValues;
-use crate::random::{Pcg32, subseed};
+use crate::random::{PartSeed, Pcg32, subseed};
 use crate::rounds::Round;
 use crate::solve::{Exchange, Paths, Rows};
 use crate::space::Patch;
@@ -151,7 +151,7 @@ impl<V: Value> Updater<'_, V> {
         let world = self.world;
         let samples = (round.samples * 2).clamp(PROPAGATION_SAMPLES.0, PROPAGATION_SAMPLES.1);
         let samples = (f64::from(samples) * self.weight_of(&change.amounts)).ceil() as u32;
-        let seed = subseed(round.seed, 0x9409);
+        let seed = PartSeed::whole(subseed(round.seed, 0x9409));
         let (rows, bounces) = known.unzip();
         let (rows, paths) = allotment.rows(world, &self.subset, rows.unwrap_or(&self.rows), samples);
         let source = change.source(bounces, spots.as_ref());

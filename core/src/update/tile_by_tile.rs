@@ -88,7 +88,7 @@ impl<V: Value> Updater<'_, V> {
             let progress = Progress { round_fraction: fraction, ..Progress::at_once(pass, 0, None) };
             work.observer().progress(&Progress { rays: work.rays(), ..progress });
         };
-        self.know_roughly(&Round { samples: 1, earlier: 0, seed: goal.first_seed(), begin: &begin })
+        self.know_roughly(&Round { samples: 1, earlier: 0, seed: goal.first_seed(), part: 0, begin: &begin })
     }
 
     /// What is shown before the first tile: old light, and on new slots, which have none, what is known roughly.
