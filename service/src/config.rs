@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::auth::Tokens;
+use crate::cluster::ClusterConfig;
 use crate::engine::{CoreEngine, Engine};
 use crate::store::faults::Faults;
 
@@ -36,6 +37,10 @@ pub struct Config {
     /// same light, bit for bit, for the same scene and edits. A job keeps the seed it was accepted with, so another one
     /// after a restart is for new jobs.
     pub seed: u64,
+    /// Other machines that do parts of bakes; none: all is done here.
+    pub cluster: Option<ClusterConfig>,
+    /// It serves reads of what another service publishes, and takes no changes.
+    pub is_replica: bool,
     /// Faults of the data directory, for tests.
     pub faults: Faults,
     /// What computes light: the engine, or a stand-in for tests.
@@ -186,6 +191,8 @@ impl Default for Config {
             cors_origins: Vec::new(),
             idle_refine: None,
             seed: 0,
+            cluster: None,
+            is_replica: false,
             faults: Faults::default(),
             engine: Arc::new(CoreEngine),
         }

@@ -20,8 +20,8 @@ pub use rebake_core::scene::{LoadError, Scene};
 pub(crate) use rebake_core::scene::{Outside, SkyPicture};
 pub use rebake_core::surface::SurfaceError;
 pub use rebake_core::{
-    Budget, Canceled, DragBasis, Edit, EditError, EditErrorKind, Focus, Importance, LightMap, Observer, Pass, Progress,
-    Relight, Snapshot, TileMode, Tiles,
+    Budget, Canceled, DragBasis, Edit, EditError, EditErrorKind, Focus, Importance, LightMap, NextPart, Observer,
+    Offer, Pass, Progress, Relight, Snapshot, TileMode, Tiles,
 };
 pub use rebake_core::{Density, Stated, Transition, World, WorldError, WorldOptions};
 

@@ -45,6 +45,9 @@ fn register_state(app: &App, registry: &mut Registry) {
         }
     });
     registry.register("jobs", "Jobs that are remembered, by state", jobs);
+    if let Some(workers) = app.jobs.worker_count() {
+        gauge(registry, "workers", "Workers on other machines that are there", workers as u64);
+    }
     let memory = Family::<OfScene, Gauge<u64, AtomicU64>>::default();
     let version = Family::<OfScene, Gauge<u64, AtomicU64>>::default();
     let error = Family::<OfScene, Gauge<f64, AtomicU64>>::default();

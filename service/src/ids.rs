@@ -23,6 +23,16 @@ impl Ids {
         Ids { suffix, first_event: (life - 1) << 32 }
     }
 
+    /// Those of another service, which this one follows.
+    pub(crate) fn of_service(suffix: String, first_event: u64) -> Ids {
+        Ids { suffix, first_event }
+    }
+
+    /// How all ids end.
+    pub(crate) fn suffix(&self) -> &str {
+        &self.suffix
+    }
+
     pub(crate) fn scene(&self, number: u64) -> String {
         format!("s{number}-{}", self.suffix)
     }

@@ -10,6 +10,7 @@ pub mod api;
 pub mod auth;
 mod bands;
 pub mod client;
+pub mod cluster;
 mod compute;
 pub mod config;
 mod connections;

@@ -31,6 +31,11 @@ struct OfPhase {
     phase: &'static str,
 }
 
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct Done {
+    place: &'static str,
+}
+
 /// All metrics of the service.
 pub(crate) struct Metrics {
     requests: Family<Route, Counter>,
@@ -45,6 +50,8 @@ pub(crate) struct Metrics {
     /// Versions published while no job waited.
     pub(crate) idle_versions: Counter,
     versions: Counter,
+    /// Parts of rounds that were offered to workers.
+    parts: Family<Done, Counter>,
     /// Bytes of delta frames, before compression.
     pub(crate) delta_bytes: Counter,
     /// Changes that could not be kept.
@@ -66,6 +73,7 @@ impl Default for Metrics {
             elements_changed: Counter::default(),
             idle_versions: Counter::default(),
             versions: Counter::default(),
+            parts: Family::default(),
             delta_bytes: Counter::default(),
             unsaved: Counter::default(),
         }
@@ -81,6 +89,11 @@ pub(crate) struct JobEnd {
 }
 
 impl Metrics {
+    /// A part of a round was done: here, elsewhere, or in a way that is refused.
+    pub(crate) fn part_done(&self, place: &'static str) {
+        self.parts.get_or_create(&Done { place }).inc();
+    }
+
     /// Counts an answer.
     pub(crate) fn answered(&self, method: &str, route: &str, status: u16, seconds: f64) {
         // Methods are the client's to invent.
@@ -130,6 +143,7 @@ impl Metrics {
         registry.register("elements_changed", help, self.elements_changed.clone());
         registry.register("idle_versions", "Light maps published while no job waited", self.idle_versions.clone());
         registry.register("versions", "Light maps published", self.versions.clone());
+        registry.register("parts", "Parts of rounds by where they were done", self.parts.clone());
         let help = "Delta frames sent, before compression";
         registry.register_with_unit("delta", help, Unit::Bytes, self.delta_bytes.clone());
         registry.register("unsaved", "Changes that could not be kept", self.unsaved.clone());

@@ -21,12 +21,12 @@ use crate::engine::{self, AtlasOptions, World};
 use crate::mode::Mode;
 use crate::state::{App, Phase};
 use crate::store::StoreError;
-use crate::store::assets::Content;
-use crate::store::disk::{Disk, Saved, SavedScene};
+use crate::store::assets::{Assets, Content};
+use crate::store::disk::{Disk, Saved, SavedEdit, SavedScene};
 use crate::store::history::History;
 use crate::store::keys::IdempotencyKeys;
 use crate::store::lighting::{Lighting, unknown_of_saved};
-use crate::store::records::{SceneRecord, StoredAtlas, StoredOutside};
+use crate::store::records::{Origin, SceneRecord, StoredAtlas, StoredOutside};
 use crate::store::scene::{Head, NewScene, SceneEntry, SceneState};
 use crate::store::versions::{Published, RESERVE};
 use crate::unit::LightUnit;
@@ -73,15 +73,34 @@ pub(crate) fn restore(app: &Arc<App>, disk: &Disk, saved: Saved) {
 }
 
 fn restore_asset(app: &App, id: &str) -> Result<(), StoreError> {
-    let file = app.store.asset(id)?;
-    // Scenes need what was acknowledged, whatever the limits are now.
-    let content = match engine::is_sky(&file) {
-        true => engine::load_sky(&file, usize::MAX).map(|(picture, _)| Content::from(picture)),
-        false => engine::load_again(&file, None).map(Content::from),
+    add_asset(&app.assets, id, &app.store.asset(id)?)
+}
+
+/// Takes in an asset that was accepted at some time: scenes need it, whatever the limits are now.
+fn add_asset(assets: &Assets, id: &str, file: &[u8]) -> Result<(), StoreError> {
+    let content = match engine::is_sky(file) {
+        true => engine::load_sky(file, usize::MAX).map(|(picture, _)| Content::from(picture)),
+        false => engine::load_again(file, None).map(Content::from),
     };
     let content = content.map_err(|error| StoreError::damaged("it cannot be read any more", error))?;
-    app.assets.insert(id.to_owned(), content, file.len());
+    assets.insert(id.to_owned(), content, file.len());
     Ok(())
+}
+
+/// A world as it came to be, from the files that it was made of: its upload, and its assets by their ids. The same bits
+/// wherever it is made.
+pub(crate) fn world_of<'a>(
+    upload: &[u8],
+    files: impl IntoIterator<Item = (&'a str, &'a [u8])>,
+    origin: &Origin,
+) -> Result<World, StoreError> {
+    let assets = Assets::new(usize::MAX, usize::MAX);
+    files.into_iter().try_for_each(|(id, file)| add_asset(&assets, id, file))?;
+    let uploaded = build(&assets, upload, &origin.record)?;
+    let edit =
+        |(sequence, body): (u64, &Vec<u8>)| SavedEdit { sequence, body: body.clone(), job: None, accepted_at: None };
+    let edits: Vec<SavedEdit> = (1..).zip(&origin.edits).map(edit).collect();
+    Ok(replay(&assets, uploaded, &edits, None)?.world)
 }
 
 /// A scene, and whether its light is lost.
@@ -98,10 +117,12 @@ fn restore_scene(app: &App, disk: &Disk, saved: &SavedScene) -> (Arc<SceneEntry>
 fn rebuild(app: &App, disk: &Disk, saved: &SavedScene) -> Result<(SceneEntry, bool), StoreError> {
     note_assets(app, saved);
     let record = saved.record.clone()?;
-    let uploaded = build(app, &disk.upload_of(saved)?, &record)?;
+    let uploaded = build(&app.assets, &disk.upload_of(saved)?, &record)?;
     // Whatever is wrong with the light can be baked again.
     let light = disk.light(saved);
-    let mut replayed = replay(app, uploaded, &saved.edits, light.as_ref().ok().and_then(Option::as_ref))?;
+    let light_to_fit = light.as_ref().ok().and_then(Option::as_ref);
+    let mut replayed = replay(&app.assets, uploaded, &saved.edits, light_to_fit)?;
+    replayed.world = engine::limited(replayed.world, &app.config.limits);
     let (world, sequence) = (replayed.world.clone(), replayed.sequence);
     let mut history = std::mem::replace(&mut replayed.history, History::new(0));
     history.limit(app.config.limits.undo_steps);
@@ -149,11 +170,11 @@ fn note_assets(app: &App, saved: &SavedScene) {
     }
 }
 
-fn build(app: &App, glb: &[u8], record: &SceneRecord) -> Result<World, StoreError> {
+fn build(assets: &Assets, glb: &[u8], record: &SceneRecord) -> Result<World, StoreError> {
     let unreadable = |error: &dyn std::fmt::Display| StoreError::damaged("the upload cannot be read any more", error);
     let mut scene = engine::load_again(glb, record.max_albedo).map_err(|error| unreadable(&error))?;
     record.unit.convert(&mut scene);
-    let outside = skies::outside(record.environment, &record.outside, &app.assets);
+    let outside = skies::outside(record.environment, &record.outside, assets);
     outside.map_err(|problem| unreadable(&problem))?.add_to(&mut scene);
     scene.groups = record.groups.clone();
     let atlas = record.atlas.map(|StoredAtlas { texels_per_metre, max_texels }| AtlasOptions {

@@ -40,6 +40,12 @@ pub async fn run(listener: TcpListener, mut config: Config, shutdown: impl Futur
         let its_app = app.clone();
         app.compute.spawn(move || restore::restore(&its_app, &disk, saved));
     }
+    serve(listener, &app, shutdown).await;
+    Ok(())
+}
+
+/// Serves what there is on `listener` until `shutdown` is ready, and ends as [`run`] does.
+pub(crate) async fn serve(listener: TcpListener, app: &Arc<App>, shutdown: impl Future<Output = ()>) {
     let router = api::router(app.clone());
     let connections = Connections::new(app.config.limits.connections);
     let graceful = GracefulShutdown::new();
@@ -61,8 +67,7 @@ pub async fn run(listener: TcpListener, mut config: Config, shutdown: impl Futur
         });
     }
     drop(listener);
-    close(&app, graceful).await;
-    Ok(())
+    close(app, graceful).await;
 }
 
 /// Serves on `listener` while `work` goes on, then ends as [`run`] does: what `work` came to.

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use tokio::sync::{Semaphore, watch};
 
 use crate::answers::Answers;
+use crate::cluster::{ClusterError, Coordinator, publish};
 use crate::compute::Compute;
 use crate::config::Config;
 use crate::ids::{Ids, new_suffix};
@@ -27,6 +28,9 @@ pub(crate) enum StartError {
     /// The data directory cannot be used.
     #[error("cannot use the data directory: {0}")]
     Store(#[from] StoreError),
+    /// Other machines cannot be reached that way.
+    #[error("cannot work with others: {0}")]
+    Cluster(#[from] ClusterError),
 }
 
 /// How far the end of the service is.
@@ -84,7 +88,8 @@ impl App {
     /// The state, and what the data directory holds, to be restored.
     pub(crate) fn new(config: Config) -> Result<(Arc<App>, ToRestore), StartError> {
         let Some(directory) = &config.data_dir else {
-            return Ok((App::with_store(config, Ids::new(), Arc::new(InMemory::default()))?, None));
+            let store = if config.cluster.is_some() { InMemory::with_origins() } else { InMemory::default() };
+            return Ok((App::with_store(config, Ids::new(), Arc::new(store))?, None));
         };
         let disk = Disk::open(directory, config.faults.clone(), config.limits.idempotency_keys)?;
         let saved = disk.load(&new_suffix())?;
@@ -95,6 +100,11 @@ impl App {
         Ok((app, Some((disk, saved))))
     }
 
+    /// A state that keeps nothing, with ids of another service.
+    pub(crate) fn in_memory(config: Config, ids: Ids) -> Result<Arc<App>, StartError> {
+        App::with_store(config, ids, Arc::new(InMemory::default()))
+    }
+
     fn with_store(config: Config, ids: Ids, store: Arc<dyn Store>) -> Result<Arc<App>, StartError> {
         let config = Arc::new(config);
         let (limits, timeouts) = (&config.limits, &config.timeouts);
@@ -102,6 +112,8 @@ impl App {
         let (scenes, metrics) = (Arc::new(Scenes::new()), Arc::new(Metrics::default()));
         let assets = Arc::new(Assets::new(limits.assets, limits.asset_bytes));
         let saving = Saving { store: store.clone(), compute: compute.clone(), metrics: metrics.clone() };
+        let start = |cluster| Coordinator::start(cluster, store.clone(), metrics.clone());
+        let coordinator = config.cluster.as_ref().map(start).transpose()?;
         let jobs = Jobs::new(Means {
             config: config.clone(),
             ids: ids.clone(),
@@ -110,7 +122,12 @@ impl App {
             saving: saving.clone(),
             compute: compute.clone(),
             metrics: metrics.clone(),
+            coordinator: coordinator.clone(),
         })?;
+        if let Some(coordinator) = coordinator {
+            let runtime = coordinator.runtime().clone();
+            runtime.spawn(publish(coordinator, ids.clone(), scenes.clone(), store.clone(), compute.clone()));
+        }
         Ok(Arc::new(App {
             memory: Memory::new(limits.memory_bytes, scenes.clone(), assets.clone(), store.clone()),
             answers: Answers::new(limits.answer_bytes, timeouts.answer_stall, timeouts.answer_room),

@@ -8,6 +8,7 @@ mod assets;
 mod atlas;
 mod browser;
 mod clients;
+mod cluster;
 mod crash;
 mod dashboard;
 mod deltas;

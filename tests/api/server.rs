@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use rebake::Config;
 use rebake::client::{Client, EventStream};
+use rebake::cluster::{ClusterConfig, replicate};
 use reqwest::{Method, RequestBuilder, Response, StatusCode};
 use serde_json::Value;
 use tokio::sync::oneshot;
@@ -99,6 +100,21 @@ impl Server {
             let _ = stopped.await;
         };
         let ended = tokio::spawn(rebake::run(listener, config, shutdown));
+        let client = Client::new(&base).unwrap();
+        Server { base, http: reqwest::Client::new(), client, stop: Some(stop), ended }
+    }
+
+    /// A replica of the service that meets others there.
+    pub(crate) async fn replica(cluster: ClusterConfig) -> Server {
+        let mut config = Config { threads: 2, cluster: Some(cluster), ..Config::default() };
+        config.timeouts.shutdown = Duration::from_secs(1);
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let base = format!("http://{}", listener.local_addr().unwrap());
+        let (stop, stopped) = oneshot::channel::<()>();
+        let shutdown = async move {
+            let _ = stopped.await;
+        };
+        let ended = tokio::spawn(replicate(listener, config, shutdown));
         let client = Client::new(&base).unwrap();
         Server { base, http: reqwest::Client::new(), client, stop: Some(stop), ended }
     }

@@ -24,6 +24,10 @@ pub(super) async fn requests(State(app): State<Arc<App>>, request: Request, next
         return Problem::new(Kind::Restoring, text).retry_after(5).into_response();
     }
     let Some(needed) = scope_for(request.method(), request.uri().path()) else { return next.run(request).await };
+    if app.config.is_replica && needed != Scope::Read {
+        return Problem::new(Kind::ReadOnly, "this is a replica: changes go to the service that it follows")
+            .into_response();
+    }
     let Some(tokens) = &app.config.tokens else { return next.run(request).await };
     match bearer(request.headers()).map(|token| tokens.scope_of(token)) {
         Some(Some(scope)) if scope >= needed => next.run(request).await,

@@ -133,6 +133,7 @@ kinds! {
     InvalidQuery "invalid-query" BAD_REQUEST "Invalid query" "A query parameter is unknown, malformed or out of range.";
     MalformedFile "malformed-file" BAD_REQUEST "Malformed file" "The uploaded file is not a valid binary glTF.";
     Unauthorized "unauthorized" UNAUTHORIZED "Unauthorized" "The call needs a bearer token that the service knows.";
+    ReadOnly "read-only" FORBIDDEN "Read only" "A replica serves reads alone: changes go to the service that it follows.";
     Forbidden "forbidden" FORBIDDEN "Forbidden" "The token's scopes do not allow this call.";
     NotFound "not-found" NOT_FOUND "Not found" "There is nothing at this path.";
     UnknownScene "unknown-scene" NOT_FOUND "Unknown scene" "There is no such scene, or it was deleted.";

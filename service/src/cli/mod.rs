@@ -7,10 +7,12 @@ mod demo;
 mod exit;
 mod remote;
 mod render;
+mod replica;
 mod serve;
 mod sky;
 mod ui;
 mod values;
+mod worker;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -55,6 +57,10 @@ struct Cli {
 enum Command {
     /// Run the service
     Serve(serve::ServeArgs),
+    /// Do parts of bakes for services on other machines
+    Worker(worker::WorkerArgs),
+    /// Serve reads of what a service on another machine publishes
+    Replica(replica::ReplicaArgs),
     /// Show what the service does: a furnished room, baked and edited over HTTP, measured
     Demo(demo::DemoArgs),
     /// Bake the light map of a scene file, without a service
@@ -119,6 +125,8 @@ pub(crate) fn run() -> ExitCode {
     let result = runtime.block_on(async {
         match cli.command {
             Command::Serve(args) => serve::serve(args).await,
+            Command::Worker(args) => worker::worker(args).await,
+            Command::Replica(args) => replica::replica(args).await,
             Command::Demo(args) => demo::demo(args).await,
             Command::Bake(args) => bake::bake(args).await,
             Command::Bench(args) => bench::bench(*args).await,

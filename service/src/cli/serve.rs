@@ -7,6 +7,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use rebake::auth::Tokens;
+use rebake::cluster::ClusterConfig;
 use rebake::config::{IdleRefine, Limits};
 use tokio::net::TcpListener;
 use tracing_subscriber::EnvFilter;
@@ -51,11 +52,35 @@ pub(super) struct ServeArgs {
     memory: Option<f64>,
     #[command(flatten)]
     limits: LimitArgs,
+    #[command(flatten)]
+    cluster: Option<ClusterArgs>,
+    /// Leave parts of bakes to workers as long as there are any
+    #[arg(long, env = "REBAKE_DELEGATE", help_heading = "Other machines", requires = "queue")]
+    delegate: bool,
     /// Refine light maps while no job waits, until their stated error is SHARE of their mean light. Every refined map
     /// is a new version
     #[arg(long, value_name = "SHARE", env = "REBAKE_IDLE_REFINE", num_args = 0..=1, require_equals = true,
         default_missing_value = "0.01", value_parser = super::values::positive)]
     idle_refine: Option<f64>,
+}
+
+/// Where machines meet that share bakes.
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Other machines")]
+#[group(multiple = true)]
+pub(super) struct ClusterArgs {
+    /// NATS server with JetStream, as nats://host:4222, whose work queue parts of bakes go through
+    #[arg(long, value_name = "URL", env = "REBAKE_QUEUE", required = false, requires = "objects")]
+    queue: String,
+    /// Where files are shared: a folder, or an address such as s3://bucket/prefix where that is built in
+    #[arg(long, value_name = "URL", env = "REBAKE_OBJECTS", required = false, requires = "queue")]
+    objects: String,
+}
+
+impl From<ClusterArgs> for ClusterConfig {
+    fn from(ClusterArgs { queue, objects }: ClusterArgs) -> ClusterConfig {
+        ClusterConfig { queue, objects, delegates: false }
+    }
 }
 
 /// How much there may be.
@@ -111,6 +136,8 @@ pub(super) async fn serve(args: ServeArgs) -> anyhow::Result<()> {
         rebake::Config { data_dir: args.data_dir, tokens, cors_origins: args.cors_origin, ..config(args.threads) };
     config.idle_refine = args.idle_refine.map(|error_share| IdleRefine { error_share, ..IdleRefine::default() });
     config.host_names = args.host_name;
+    let delegates = args.delegate;
+    config.cluster = args.cluster.map(|cluster| ClusterConfig { delegates, ..cluster.into() });
     args.limits.set(&mut config.limits);
     if let Some(gib) = args.memory {
         config.limits.memory_bytes = (gib * f64::from(1u32 << 30)) as u64;
@@ -120,7 +147,7 @@ pub(super) async fn serve(args: ServeArgs) -> anyhow::Result<()> {
 }
 
 /// Whoever reaches the address could change scenes: without tokens that has to be this machine alone.
-fn refuse_to_be_open(address: SocketAddr, has_tokens: bool, is_insecure: bool) -> anyhow::Result<()> {
+pub(super) fn refuse_to_be_open(address: SocketAddr, has_tokens: bool, is_insecure: bool) -> anyhow::Result<()> {
     if address.ip().is_loopback() || has_tokens || is_insecure {
         return Ok(());
     }

@@ -34,6 +34,7 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 
 use crate::api::types;
+use crate::cluster::Coordinator;
 use crate::compute::{Compute, build_pool};
 use crate::config::Config;
 use crate::engine::{Budget, Importance};
@@ -95,6 +96,8 @@ pub(crate) struct Jobs {
     saving: Saving,
     compute: Compute,
     metrics: Arc<Metrics>,
+    /// Others that do parts of bakes.
+    coordinator: Option<Arc<Coordinator>>,
     state: Mutex<State>,
     /// Jobs that run at the same time.
     slots: usize,
@@ -113,6 +116,7 @@ pub(crate) struct Means {
     pub(crate) saving: Saving,
     pub(crate) compute: Compute,
     pub(crate) metrics: Arc<Metrics>,
+    pub(crate) coordinator: Option<Arc<Coordinator>>,
 }
 
 struct State {
@@ -155,7 +159,7 @@ struct Handle {
 
 impl Jobs {
     pub(crate) fn new(means: Means) -> Result<Jobs, ThreadPoolBuildError> {
-        let Means { config, ids, scenes, store, saving, compute, metrics } = means;
+        let Means { config, ids, scenes, store, saving, compute, metrics, coordinator } = means;
         let limits = &config.limits;
         let slots = config.job_slots.max(1);
         // One more than slots, for what is urgent.
@@ -171,7 +175,7 @@ impl Jobs {
         let state =
             State { queue, handles: HashMap::new(), pools, idle: None, closed: false, just_ended: VecDeque::new() };
         let (state, running) = (Mutex::new(state), watch::Sender::new(0));
-        Ok(Jobs { config, ids, scenes, store, saving, compute, metrics, state, slots, idle_pool, running })
+        Ok(Jobs { config, ids, scenes, store, saving, compute, metrics, coordinator, state, slots, idle_pool, running })
     }
 
     /// Looks at the queue.
@@ -203,6 +207,11 @@ impl Jobs {
 
     pub(crate) fn events(&self, number: JobNumber) -> Option<Arc<EventLog>> {
         self.lock().handles.get(&number).map(|handle| handle.events.clone())
+    }
+
+    /// Workers on other machines; none where there is no queue.
+    pub(crate) fn worker_count(&self) -> Option<usize> {
+        self.coordinator.as_ref().map(|coordinator| coordinator.worker_count())
     }
 
     /// Whether light maps are being refined while no job waits.

@@ -9,7 +9,8 @@ use super::budget::{JobBudget, Pace, fraction, remaining_ms};
 use super::phases::PhaseClock;
 use super::queue::{JobNumber, JobProgress};
 use super::stop::{Asked, Stop};
-use crate::engine::{LightMap, Observer, Progress, Snapshot, lengthened};
+use crate::cluster::{OpenOffer, Told};
+use crate::engine::{LightMap, NextPart, Observer, Offer, Progress, Snapshot, lengthened};
 use crate::store::lighting::{Lit, Sequence};
 use crate::store::scene::SceneEntry;
 
@@ -72,6 +73,8 @@ pub(crate) struct JobObserver<'a> {
     piece: Piece,
     reached: Mark,
     state: Mutex<State>,
+    /// The round that others do parts of.
+    offered: Mutex<Option<OpenOffer>>,
 }
 
 /// A piece of a job's work.
@@ -132,6 +135,7 @@ impl<'a> JobObserver<'a> {
             piece: Piece::default(),
             reached: Mark::default(),
             state: Mutex::default(),
+            offered: Mutex::default(),
         }
     }
 
@@ -228,6 +232,10 @@ impl<'a> JobObserver<'a> {
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
+
+    fn offered(&self) -> MutexGuard<'_, Option<OpenOffer>> {
+        self.offered.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 impl Observer for JobObserver<'_> {
@@ -262,6 +270,20 @@ impl Observer for JobObserver<'_> {
                 state.cut |= samples == 0;
                 samples
             }
+        }
+    }
+
+    fn offer(&self, offer: &Offer<'_>) {
+        let Some(coordinator) = &self.jobs.coordinator else { return };
+        let published = self.scene.published();
+        let told = Told { scene: self.scene.number, sequence: self.piece.sequence, world: &published.world };
+        *self.offered() = Some(coordinator.offer(&told, offer));
+    }
+
+    fn next_part(&self, missing: &[u32]) -> NextPart {
+        match &*self.offered() {
+            Some(offered) => offered.next(missing, || self.canceled()),
+            None => NextPart::Run(missing[0]),
         }
     }
 

@@ -6,8 +6,8 @@ use rebake_core::allowed::Allowed;
 
 use crate::api::edit_parse;
 use crate::engine::{self, Edit, World};
-use crate::state::App;
 use crate::store::StoreError;
+use crate::store::assets::Assets;
 use crate::store::disk::SavedEdit;
 use crate::store::history::{self, History, Turn};
 use crate::store::lighting::{Sequence, Unlit};
@@ -28,7 +28,7 @@ pub(super) struct Replayed {
 
 /// Applies all edits again. Only what `light` does not know is kept: every world has arrays of its own.
 pub(super) fn replay(
-    app: &App,
+    assets: &Assets,
     uploaded: World,
     edits: &[SavedEdit],
     light: Option<&LightRecord>,
@@ -51,7 +51,7 @@ pub(super) fn replay(
         if *sequence != replayed.sequence + 1 {
             return Err(failed("an earlier one is missing".to_owned()));
         }
-        let (edits, turn) = read_edits(app, &saved.body, &replayed.history).map_err(failed)?;
+        let (edits, turn) = read_edits(assets, &saved.body, &replayed.history).map_err(failed)?;
         let transition = replayed.world.apply_again(&edits).map_err(|error| failed(error.to_string()))?;
         let (body, job, accepted_at) = (saved.body.clone().into(), saved.job, saved.accepted_at);
         let accepted = history::Accepted { body, job, accepted_at, turn: None, is_undone: false };
@@ -64,7 +64,6 @@ pub(super) fn replay(
             replayed.unlit.push(Unlit { sequence: *sequence, transition, edits: edits.into() });
         }
     }
-    replayed.world = engine::limited(replayed.world, &app.config.limits);
     Ok(replayed)
 }
 
@@ -79,9 +78,9 @@ impl Replayed {
     }
 }
 
-fn read_edits(app: &App, body: &[u8], history: &History) -> Result<(Vec<Edit>, Option<Turn>), String> {
+fn read_edits(assets: &Assets, body: &[u8], history: &History) -> Result<(Vec<Edit>, Option<Turn>), String> {
     let parsed = edit_parse::parse(body, usize::MAX).map_err(|problem| problem.to_string())?;
-    let edits = edit_parse::to_edits(&parsed, &app.assets, history, Allowed::KEPT);
+    let edits = edit_parse::to_edits(&parsed, assets, history, Allowed::KEPT);
     Ok((edits.map_err(|problem| problem.to_string())?, parsed.turn()))
 }
 

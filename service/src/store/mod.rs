@@ -29,7 +29,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use bytes::Bytes;
 
 use crate::jobs::queue::{JobNumber, SceneNumber};
-use records::{Accepted, JobRecord, LightRecord, SceneChange, SceneRecord};
+use lighting::Sequence;
+use records::{Accepted, JobRecord, LightRecord, Origin, SceneChange, SceneRecord};
 
 /// Something could not be kept or found again.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -68,6 +69,8 @@ pub(crate) trait Store: Send + Sync + Debug {
     fn upload(&self, scene: SceneNumber) -> Result<Bytes, StoreError>;
     /// The file that an asset is.
     fn asset(&self, id: &str) -> Result<Bytes, StoreError>;
+    /// How a scene came to be, up to an edit.
+    fn origin(&self, scene: SceneNumber, sequence: Sequence) -> Result<Origin, StoreError>;
     /// Bytes of memory that what is kept takes.
     fn memory_bytes(&self) -> u64 {
         0
@@ -102,6 +105,8 @@ pub(crate) trait Store: Send + Sync + Debug {
 #[derive(Debug, Default)]
 pub(crate) struct InMemory {
     files: Mutex<Files>,
+    /// Where others are told how scenes came to be.
+    origins: Option<Mutex<HashMap<SceneNumber, Origin>>>,
 }
 
 #[derive(Debug, Default)]
@@ -112,6 +117,15 @@ struct Files {
 }
 
 impl InMemory {
+    /// Keeps origins of scenes, too.
+    pub(crate) fn with_origins() -> InMemory {
+        InMemory { origins: Some(Mutex::default()), ..InMemory::default() }
+    }
+
+    fn origins(&self) -> Option<MutexGuard<'_, HashMap<SceneNumber, Origin>>> {
+        self.origins.as_ref().map(|origins| origins.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
     fn files(&self) -> MutexGuard<'_, Files> {
         self.files.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -141,8 +155,17 @@ impl Store for InMemory {
         self.files().assets.get(id).cloned().ok_or_else(file_gone)
     }
 
+    fn origin(&self, scene: SceneNumber, sequence: Sequence) -> Result<Origin, StoreError> {
+        let origin = self.origins().and_then(|origins| origins.get(&scene).cloned());
+        let mut origin = origin.ok_or_else(file_gone)?;
+        origin.edits.truncate(sequence as usize);
+        Ok(origin)
+    }
+
     fn memory_bytes(&self) -> u64 {
-        self.files().bytes
+        let origins = self.origins();
+        let edits = origins.iter().flat_map(|origins| origins.values()).flat_map(|origin| &origin.edits);
+        self.files().bytes + edits.map(|edit| edit.len() as u64).sum::<u64>()
     }
 
     fn close(&self) {}
@@ -150,10 +173,13 @@ impl Store for InMemory {
     fn scene_created(
         &self,
         number: SceneNumber,
-        _scene: &SceneRecord,
+        scene: &SceneRecord,
         glb: &[u8],
         _bake: Option<&JobRecord>,
     ) -> Result<(), StoreError> {
+        if let Some(mut origins) = self.origins() {
+            origins.insert(number, Origin { record: scene.clone(), edits: Vec::new() });
+        }
         let mut files = self.files();
         let gone = files.uploads.insert(number, Bytes::copy_from_slice(glb));
         files.count(glb.len(), gone);
@@ -165,6 +191,7 @@ impl Store for InMemory {
     }
 
     fn scene_deleted(&self, number: SceneNumber) -> Result<(), StoreError> {
+        self.origins().and_then(|mut origins| origins.remove(&number));
         let mut files = self.files();
         let gone = files.uploads.remove(&number);
         files.count(0, gone);
@@ -185,7 +212,12 @@ impl Store for InMemory {
         Ok(())
     }
 
-    fn accepted(&self, _request: &Accepted<'_>) -> Result<(), StoreError> {
+    fn accepted(&self, request: &Accepted<'_>) -> Result<(), StoreError> {
+        if let (Some(mut origins), Some(edit)) = (self.origins(), &request.edit)
+            && let Some(origin) = origins.get_mut(&request.scene)
+        {
+            origin.edits.push(edit.body.to_vec());
+        }
         Ok(())
     }
 

@@ -53,6 +53,14 @@ impl SceneRecord {
     }
 }
 
+/// How a scene came to be.
+#[derive(Clone, Debug)]
+pub(crate) struct Origin {
+    pub(crate) record: SceneRecord,
+    /// Bodies of its accepted edits, in their order.
+    pub(crate) edits: Vec<Vec<u8>>,
+}
+
 /// What an atlas is made by.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct StoredAtlas {

@@ -265,18 +265,35 @@ impl SceneEntry {
 
     /// Light and version of one moment, to be saved.
     pub(crate) fn light_record(&self) -> LightRecord {
+        self.shared_light().0
+    }
+
+    /// Another version, as a service that this one follows has published it. Waits for the head: not from an async thread.
+    pub(crate) fn replace(&self, world: World, accepted: Sequence, lighting: Lighting, published: Published) {
+        let mut head = self.head.blocking_lock();
+        self.set_accepted_bytes(world.memory_bytes() as u64);
+        self.set_accepted_edits(accepted);
+        (head.world, head.sequence) = (world, accepted);
+        let mut own = self.lighting();
+        *own = lighting;
+        self.publish(published);
+    }
+
+    /// Light and version of one moment, with what is published then.
+    pub(crate) fn shared_light(&self) -> (LightRecord, Arc<Published>) {
         // What is costly is done without the lock.
         let (published, shown, right_for, lit, effort) = {
             let lighting = self.lighting();
             let (right_for, lit) = lighting.saved();
             (self.published(), lighting.shown(), right_for, lit, lighting.effort())
         };
-        LightRecord {
+        let record = LightRecord {
             about: LightState { effort, ..published.state(shown, right_for) },
             map: published.map.clone(),
             changed: published.changed.clone(),
             lit,
-        }
+        };
+        (record, published)
     }
 
     /// What edits asked for that are not lit yet.

@@ -3,12 +3,16 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError, RwLock};
 
+use tokio::sync::watch;
+
 use super::scene::SceneEntry;
 use crate::jobs::queue::SceneNumber;
 
 /// All scenes.
 pub(crate) struct Scenes {
     held: RwLock<Held>,
+    /// The newest scene's number.
+    newest: watch::Sender<SceneNumber>,
 }
 
 #[derive(Default)]
@@ -21,7 +25,7 @@ struct Held {
 
 impl Scenes {
     pub(crate) fn new() -> Scenes {
-        Scenes { held: RwLock::default() }
+        Scenes { held: RwLock::default(), newest: watch::Sender::new(0) }
     }
 
     pub(crate) fn get(&self, number: SceneNumber) -> Option<Arc<SceneEntry>> {
@@ -52,7 +56,15 @@ impl Scenes {
     pub(crate) fn insert(&self, scene: Arc<SceneEntry>) {
         let mut held = self.write();
         held.newest = held.newest.max(scene.number);
-        held.by_number.insert(scene.number, scene);
+        let number = scene.number;
+        held.by_number.insert(number, scene);
+        drop(held);
+        self.newest.send_replace(number);
+    }
+
+    /// Told of scenes that come.
+    pub(crate) fn watch_newest(&self) -> watch::Receiver<SceneNumber> {
+        self.newest.subscribe()
     }
 
     /// Numbers up to this one were given before.

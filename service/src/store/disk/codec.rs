@@ -15,7 +15,7 @@ const MAGIC_1: &[u8; 8] = b"RBKMAP01";
 const BYTES_PER_SLOT: usize = 28;
 
 /// The bytes of a map.
-pub(super) fn encode_map(map: &LightMap) -> Vec<u8> {
+pub(crate) fn encode_map(map: &LightMap) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(MAGIC.len() + 12 + (map.layers.len() + 1) * (map.len() * BYTES_PER_SLOT + 256));
     bytes.extend_from_slice(MAGIC);
     bytes.extend_from_slice(&(map.len() as u64).to_le_bytes());
@@ -55,7 +55,7 @@ fn put_values(bytes: &mut Vec<u8>, light: &LightValues) {
 }
 
 /// The map of some bytes; none where they are not one.
-pub(super) fn decode_map(bytes: &[u8]) -> Option<LightMap> {
+pub(crate) fn decode_map(bytes: &[u8]) -> Option<LightMap> {
     let (rest, has_layers) = match bytes.strip_prefix(MAGIC) {
         Some(rest) => (rest, true),
         None => (bytes.strip_prefix(MAGIC_1)?, false),
@@ -117,13 +117,13 @@ impl Reader<'_> {
 }
 
 /// The bytes of versions per slot. Neighbours mostly have the same: zstd makes next to nothing of them.
-pub(super) fn encode_versions(versions: &[u64]) -> std::io::Result<Vec<u8>> {
+pub(crate) fn encode_versions(versions: &[u64]) -> std::io::Result<Vec<u8>> {
     let bytes: Vec<u8> = versions.iter().flat_map(|version| version.to_le_bytes()).collect();
     zstd::bulk::compress(&bytes, 1)
 }
 
 /// The versions of some bytes; none where there are not `len` of them.
-pub(super) fn decode_versions(bytes: &[u8], len: usize) -> Option<Vec<u64>> {
+pub(crate) fn decode_versions(bytes: &[u8], len: usize) -> Option<Vec<u64>> {
     let bytes = zstd::bulk::decompress(bytes, len.checked_mul(8)?).ok()?;
     let (versions, rest) = bytes.as_chunks::<8>();
     (rest.is_empty() && versions.len() == len).then(|| versions.iter().map(|v| u64::from_le_bytes(*v)).collect())

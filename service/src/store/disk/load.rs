@@ -12,7 +12,7 @@ use crate::engine::LightMap;
 use crate::jobs::queue::{JobNumber, SceneNumber};
 use crate::store::StoreError;
 use crate::store::lighting::Sequence;
-use crate::store::records::{JobRecord, KeyRecord, LightRecord, LightState, SceneRecord};
+use crate::store::records::{JobRecord, KeyRecord, LightRecord, LightState, Origin, SceneRecord};
 
 /// All that was kept, files aside.
 pub(crate) struct Saved {
@@ -84,6 +84,20 @@ impl Disk {
     /// The upload of a scene.
     pub(crate) fn upload_of(&self, scene: &SavedScene) -> Result<Vec<u8>, StoreError> {
         self.blobs.get(&scene.blob)
+    }
+
+    /// How a scene came to be, up to an edit.
+    pub(super) fn read_origin(&self, scene: SceneNumber, sequence: Sequence) -> Result<Origin, StoreError> {
+        let connection = self.connection();
+        let connection = open(&connection)?;
+        let sql = "SELECT record FROM scenes WHERE number = ?1";
+        let record: String = connection.query_row(sql, [scene as i64], |row| row.get(0))?;
+        let (edits, left_out) = edits(connection, scene)?;
+        if left_out > 0 {
+            return Err(StoreError::damaged("edits of the scene cannot be read", format!("{left_out} of them")));
+        }
+        let edits = edits.into_iter().filter(|edit| edit.sequence <= sequence).map(|edit| edit.body).collect();
+        Ok(Origin { record: from_json(&record)?, edits })
     }
 
     /// The light of a scene, where any was saved.

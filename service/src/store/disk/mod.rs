@@ -4,7 +4,7 @@
 //! happens in between leaves files that nobody refers to, and the next start sweeps them.
 
 mod blobs;
-mod codec;
+pub(crate) mod codec;
 mod load;
 mod mark;
 mod schema;

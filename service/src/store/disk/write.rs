@@ -8,7 +8,8 @@ use rusqlite::{OptionalExtension, Transaction};
 use super::blobs::{BlobId, Pin};
 use super::{Disk, codec, open, schema, to_json};
 use crate::jobs::queue::{JobNumber, SceneNumber};
-use crate::store::records::{Accepted, JobRecord, KeyRecord, LightRecord, SceneChange, SceneRecord};
+use crate::store::lighting::Sequence;
+use crate::store::records::{Accepted, JobRecord, KeyRecord, LightRecord, Origin, SceneChange, SceneRecord};
 use crate::store::versions::FIRST_RESERVE;
 use crate::store::{Store, StoreError};
 
@@ -24,6 +25,10 @@ impl Store for Disk {
 
     fn asset(&self, id: &str) -> Result<Bytes, StoreError> {
         self.blobs.get(id).map(Bytes::from)
+    }
+
+    fn origin(&self, scene: SceneNumber, sequence: Sequence) -> Result<Origin, StoreError> {
+        self.read_origin(scene, sequence)
     }
 
     fn is_durable(&self) -> bool {

@@ -1,0 +1,217 @@
+//! Versions of scenes, put where replicas find them: `scenes/ID.json` tells of the newest one by hashes of files, and a
+//! message tells that it is there. A replica that has missed messages has missed nothing.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Duration;
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+
+use super::coordinator::Coordinator;
+use super::snapshot::{self, Told};
+use super::{ClusterError, FORMAT};
+use crate::compute::Compute;
+use crate::ids::Ids;
+use crate::jobs::budget::JobBudget;
+use crate::jobs::queue::SceneNumber;
+use crate::mode::Mode;
+use crate::store::Store;
+use crate::store::disk::codec;
+use crate::store::lighting::Sequence;
+use crate::store::records::LightState;
+use crate::store::scene::{SceneEntry, SceneState};
+use crate::store::scenes::Scenes;
+
+/// Between two versions of a scene that are put, and before what failed is tried again.
+const PACE: Duration = Duration::from_millis(50);
+const RETRY: Duration = Duration::from_secs(1);
+
+/// Files of so many versions are kept: a replica may be reading those of the last but one.
+const KEPT: usize = 2;
+
+/// The service that replicas follow.
+pub(super) const SERVICE: &str = "service.json";
+
+/// Folder of what is told of scenes.
+pub(super) const SCENES: &str = "scenes";
+
+/// Subject of a scene's versions; its id comes behind the dot.
+pub(super) const SCENE_SUBJECT: &str = "rebake.scenes";
+
+/// Whom replicas follow.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Service {
+    pub(super) format: u32,
+    /// How ids end.
+    pub(super) suffix: String,
+    /// Ids of events rise from the one after it.
+    pub(super) first_event: u64,
+}
+
+/// A version of a scene.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct SharedScene {
+    pub(super) number: SceneNumber,
+    pub(super) name: String,
+    pub(super) mode: Mode,
+    pub(super) target: Option<JobBudget>,
+    pub(super) created_at: Timestamp,
+    /// Hash of the manifest of what is published.
+    pub(super) snapshot: String,
+    /// Edits that were accepted.
+    pub(super) accepted: Sequence,
+    pub(super) light: LightState,
+    /// Hashes of the light map, and of the versions that last changed its values.
+    pub(super) map: String,
+    pub(super) changed: String,
+    /// Hash of which elements nothing is known of, a byte each; none where all are known.
+    pub(super) unknown: Option<String>,
+}
+
+/// Where what is told of a scene lies.
+pub(super) fn scene_path(id: &str) -> String {
+    format!("{SCENES}/{id}.json")
+}
+
+/// Puts versions of scenes.
+struct Publisher {
+    coordinator: Arc<Coordinator>,
+    store: Arc<dyn Store>,
+    compute: Compute,
+}
+
+/// Puts all versions of all scenes from here on.
+pub(crate) async fn publish(
+    coordinator: Arc<Coordinator>,
+    ids: Ids,
+    scenes: Arc<Scenes>,
+    store: Arc<dyn Store>,
+    compute: Compute,
+) {
+    let service = Service { format: FORMAT, suffix: ids.suffix().to_owned(), first_event: ids.first_event };
+    let publisher = Arc::new(Publisher { coordinator, store, compute });
+    while let Err(error) = publisher.begin(&service).await {
+        tracing::warn!(%error, "nothing is told to replicas");
+        tokio::time::sleep(RETRY).await;
+    }
+    let (mut newest, mut followed) = (scenes.watch_newest(), SceneNumber::MIN);
+    loop {
+        let first = followed;
+        for scene in scenes.all().into_iter().filter(|scene| scene.number >= first) {
+            followed = scene.number + 1;
+            tokio::spawn(publisher.clone().follow(scene));
+        }
+        if newest.changed().await.is_err() {
+            return;
+        }
+    }
+}
+
+impl Publisher {
+    /// What an earlier life has told is over.
+    async fn begin(&self, service: &Service) -> Result<(), ClusterError> {
+        let objects = self.coordinator.objects();
+        objects.remove_all(SCENES).await?;
+        let bytes = serde_json::to_vec(service).map_err(|error| ClusterError::odd("a service", error))?;
+        objects.put(SERVICE, bytes.into()).await
+    }
+
+    /// Puts the versions of a scene until it is deleted.
+    async fn follow(self: Arc<Publisher>, scene: Arc<SceneEntry>) {
+        let (mut published, mut deleted) = (scene.watch_published(), scene.watch_deleted());
+        let mut kept = VecDeque::new();
+        while !*deleted.borrow_and_update() {
+            published.borrow_and_update();
+            if scene.state() == SceneState::Ready
+                && let Err(error) = self.put(&scene, &mut kept).await
+            {
+                tracing::warn!(scene = scene.id, %error, "a version is not told to replicas");
+                tokio::time::sleep(RETRY).await;
+                published.mark_changed();
+            }
+            tokio::time::sleep(PACE).await;
+            tokio::select! {
+                _ = published.changed() => {}
+                _ = deleted.changed() => {}
+            }
+        }
+        let objects = self.coordinator.objects();
+        if let Err(error) = objects.remove(&scene_path(&scene.id)).await {
+            tracing::warn!(scene = scene.id, %error, "a scene stays with replicas");
+        }
+        for files in kept {
+            self.remove(files).await;
+        }
+        self.tell(&scene.id).await;
+    }
+
+    async fn put(&self, scene: &Arc<SceneEntry>, kept: &mut VecDeque<Vec<String>>) -> Result<(), ClusterError> {
+        let objects = self.coordinator.objects();
+        let (its_scene, store, known) = (scene.clone(), self.store.clone(), self.coordinator.told_of(scene.number));
+        let read = move || {
+            let (light, published) = its_scene.shared_light();
+            let told = Told { scene: its_scene.number, sequence: light.about.shown, world: &published.world };
+            let snapshot = match known.filter(|(sequence, _)| *sequence == told.sequence) {
+                Some((_, hash)) => (Some(hash), None),
+                None => (None, Some(snapshot::gather(&*store, &told)?)),
+            };
+            let unknown = published.unknown().as_ref().map(|unknown| unknown.iter().map(|u| u8::from(*u)).collect());
+            let changed = codec::encode_versions(&light.changed)?;
+            let files = (codec::encode_map(&light.map), changed, unknown);
+            Ok::<_, crate::store::StoreError>((snapshot, light.about, files))
+        };
+        let read = self.compute.build(read).await.map_err(|panic| ClusterError::Failed(panic.to_string()))?;
+        let ((hash, gathered), about, (map, changed, unknown)) =
+            read.map_err(|error| ClusterError::Failed(error.to_string()))?;
+        let snapshot = match (hash, gathered) {
+            (Some(hash), _) => hash,
+            (None, Some(gathered)) => gathered.put(objects).await?,
+            (None, None) => return Ok(()),
+        };
+        self.coordinator.note_told(scene.number, about.shown, &snapshot);
+        let unknown: Option<Vec<u8>> = unknown;
+        let shared = SharedScene {
+            number: scene.number,
+            name: scene.name(),
+            mode: scene.mode,
+            target: scene.target(),
+            created_at: scene.created_at,
+            snapshot,
+            accepted: scene.accepted_edits(),
+            light: about,
+            map: objects.put_file(map.into()).await?,
+            changed: objects.put_file(changed.into()).await?,
+            unknown: match unknown {
+                Some(unknown) => Some(objects.put_file(unknown.into()).await?),
+                None => None,
+            },
+        };
+        let bytes = serde_json::to_vec(&shared).map_err(|error| ClusterError::odd("a scene", error))?;
+        objects.put(&scene_path(&scene.id), bytes.into()).await?;
+        kept.push_back([shared.map, shared.changed].into_iter().chain(shared.unknown).collect());
+        self.tell(&scene.id).await;
+        if kept.len() > KEPT
+            && let Some(old) = kept.pop_front()
+        {
+            let used = |file: &String| kept.iter().flatten().any(|kept| kept == file);
+            self.remove(old.into_iter().filter(|file| !used(file)).collect()).await;
+        }
+        Ok(())
+    }
+
+    async fn remove(&self, files: Vec<String>) {
+        for file in files {
+            if let Err(error) = self.coordinator.objects().remove_file(&file).await {
+                tracing::debug!(%error, "a file of an old version stays");
+            }
+        }
+    }
+
+    /// A replica that does not hear it looks by itself.
+    async fn tell(&self, id: &str) {
+        if let Err(error) = self.coordinator.tell(format!("{SCENE_SUBJECT}.{id}"), "").await {
+            tracing::debug!(%error, "a version is not told");
+        }
+    }
+}
