@@ -166,45 +166,44 @@ pub(crate) fn mean_light(world: &World, map: &LightMap) -> f64 {
     world.area_mean(0..world.slots(), |slot| f64::from(map.total(slot).element_sum()) / 3.0)
 }
 
-/// How a scene that is uploaded is laid out.
-pub(crate) fn world_options(
-    density: Density,
-    stated: Stated,
-    max_albedo: Option<f32>,
-    atlas: Option<AtlasOptions>,
-    limits: &Limits,
-) -> WorldOptions {
-    WorldOptions {
-        spacing: Some(density.spacing),
-        object_squares: Some(density.object_squares),
-        max_elements: limits.elements,
-        max_triangles: limits.subdivided_triangles,
-        stated,
-        max_albedo: max_albedo.unwrap_or(DEFAULT_MAX_ALBEDO),
-        atlas,
+/// How a scene is laid out.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Plan {
+    /// How far elements lie apart.
+    pub(crate) density: Density,
+    /// How many there were to be, where that is how the density was chosen.
+    pub(crate) elements: Option<usize>,
+    pub(crate) stated: Stated,
+    pub(crate) max_albedo: Option<f32>,
+    pub(crate) atlas: Option<AtlasOptions>,
+}
+
+impl Plan {
+    fn options(&self, max_elements: usize, max_triangles: usize) -> WorldOptions {
+        let Plan { density, elements, stated, max_albedo, atlas } = *self;
+        WorldOptions {
+            spacing: Some(density.spacing),
+            elements,
+            object_squares: Some(density.object_squares),
+            max_elements,
+            max_triangles,
+            stated,
+            max_albedo: max_albedo.unwrap_or(DEFAULT_MAX_ALBEDO),
+            atlas,
+        }
+    }
+
+    /// Of a scene that is uploaded.
+    pub(crate) fn within(&self, limits: &Limits) -> WorldOptions {
+        self.options(limits.elements, limits.subdivided_triangles)
     }
 }
 
 /// Lays out a scene that was accepted at some time: its edits are to be applied again, whatever the limits are now.
 /// [`limited`] ends that.
-pub(crate) fn build_again(
-    scene: Scene,
-    density: Density,
-    stated: Stated,
-    max_albedo: Option<f32>,
-    atlas: Option<AtlasOptions>,
-) -> Result<World, WorldError> {
-    let options = WorldOptions {
-        spacing: Some(density.spacing),
-        object_squares: Some(density.object_squares),
-        // Slots are numbers of 32 bits.
-        max_elements: u32::MAX as usize,
-        max_triangles: usize::MAX,
-        stated,
-        max_albedo: max_albedo.unwrap_or(DEFAULT_MAX_ALBEDO),
-        atlas,
-    };
-    World::new(scene, &options)
+pub(crate) fn build_again(scene: Scene, plan: &Plan) -> Result<World, WorldError> {
+    // Slots are numbers of 32 bits.
+    World::new(scene, &plan.options(u32::MAX as usize, usize::MAX))
 }
 
 /// The world with the limits that hold for further edits.

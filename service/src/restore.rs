@@ -17,7 +17,7 @@ use jiff::Timestamp;
 use self::jobs::{bake_again, restore_job};
 use self::replay::{fits, replay};
 use crate::api::{edit_parse, skies};
-use crate::engine::{self, AtlasOptions, World};
+use crate::engine::{self, AtlasOptions, Plan, World};
 use crate::mode::Mode;
 use crate::state::{App, Phase};
 use crate::store::StoreError;
@@ -181,8 +181,14 @@ fn build(assets: &Assets, glb: &[u8], record: &SceneRecord) -> Result<World, Sto
         texels_per_metre: Some(texels_per_metre),
         max_texels,
     });
-    engine::build_again(scene, record.density(), record.mode.stated(), record.max_albedo, atlas)
-        .map_err(|error| unreadable(&error))
+    let plan = Plan {
+        density: record.density(),
+        elements: record.elements,
+        stated: record.mode.stated(),
+        max_albedo: record.max_albedo,
+        atlas,
+    };
+    engine::build_again(scene, &plan).map_err(|error| unreadable(&error))
 }
 
 /// A scene that can only be looked at and deleted.
@@ -192,6 +198,7 @@ fn damaged(app: &App, saved: &SavedScene, error: &StoreError) -> SceneEntry {
         mode: Mode::Full,
         spacing: 1.0,
         object_squares: None,
+        elements: None,
         environment: None,
         outside: StoredOutside::default(),
         unit: LightUnit::default(),

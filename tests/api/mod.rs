@@ -9,6 +9,7 @@ mod atlas;
 mod browser;
 mod clients;
 mod cluster;
+mod counted;
 mod crash;
 mod dashboard;
 mod deltas;

@@ -46,6 +46,8 @@ export interface Upload {
   name?: string;
   /** Largest distance between neighbouring elements, metres. */
   spacing?: number;
+  /** How many elements there are to be, in place of a spacing. */
+  elements?: number;
   mode?: 'full' | 'indirect';
   /** Constant radiance from outside. */
   environment?: Rgb;

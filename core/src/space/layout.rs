@@ -110,6 +110,15 @@ impl Layout {
         Ok((Layout { cells, neighbours, reach }, elements))
     }
 
+    /// Elements that [`Layout::new`] would lay out.
+    ///
+    /// # Errors
+    /// As it has.
+    pub(crate) fn count(surface: &Surface, spacing: f32, max_elements: usize) -> Result<usize, SurfaceError> {
+        let limit = max_elements.min(u32::MAX as usize);
+        subdivide(surface, spacing, limit).map(|subdivided| subdivided.positions.len())
+    }
+
     /// Ids of cells are below this.
     pub(super) fn ids(&self) -> u32 {
         self.cells.ids()

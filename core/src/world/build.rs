@@ -20,7 +20,7 @@ pub(crate) const COARSE_RADIUS: f32 = 2.5;
 
 pub(super) fn build(mut scene: Scene, options: &WorldOptions) -> Result<World, WorldError> {
     let areas = object_areas(&scene);
-    let density = density_of(options, &areas)?;
+    let density = density_of(options, &scene, &areas)?;
     let spacing = density.spacing;
     if !(0.0..=1.0).contains(&options.max_albedo) {
         return Err(WorldError::MaxAlbedo(options.max_albedo));
@@ -54,6 +54,7 @@ pub(super) fn build(mut scene: Scene, options: &WorldOptions) -> Result<World, W
     };
     world.emitters = Arc::new(world.resolve_emitters());
     give_backs(&mut world)?;
+    warn_where_more(&mut world);
     world.mark_solids();
     world.validity = Arc::new(Validity::of_all(&world));
     world.look_around(None, |_| true);
@@ -67,10 +68,11 @@ fn smooth_of(options: &WorldOptions, areas: &[f64], spacing: f32) -> f32 {
     if options.spacing.is_some() { spacing.min(Density::even_spacing(areas)) } else { spacing }
 }
 
-fn density_of(options: &WorldOptions, areas: &[f64]) -> Result<Density, WorldError> {
-    let density = match options.spacing {
-        None => Density::chosen(areas),
-        Some(spacing) => Density::even(spacing),
+fn density_of(options: &WorldOptions, scene: &Scene, areas: &[f64]) -> Result<Density, WorldError> {
+    let density = match (options.spacing, options.elements) {
+        (Some(spacing), _) => Density::even(spacing),
+        (None, Some(elements)) => Density::of_elements(scene, elements)?,
+        (None, None) => Density::chosen(areas),
     };
     let density = Density { object_squares: options.object_squares.unwrap_or(density.object_squares), ..density };
     let Density { spacing, object_squares } = density;
@@ -92,6 +94,17 @@ fn warn_where_coarse(scene: &mut Scene, areas: &[f64], density: Density) {
         let spacing = density.spacing;
         let list = coarse.join(", ");
         scene.warnings.push(format!("objects that are large have elements farther apart than {spacing} m: {list}"));
+    }
+}
+
+/// Says where a file has more vertices than elements are asked for.
+fn warn_where_more(world: &mut World) {
+    let vertices = |placed: &Arc<Placed>| placed.sides().count() * placed.surface.positions.len();
+    let least: usize = world.placed.iter().map(vertices).sum();
+    if let Some(asked) = world.options.elements.filter(|asked| *asked < least) {
+        let warning =
+            format!("the vertices of the file are {least} elements, and there cannot be fewer: {asked} were asked for");
+        Arc::make_mut(&mut world.scene).warnings.push(warning);
     }
 }
 

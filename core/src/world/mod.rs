@@ -9,6 +9,7 @@ mod buried;
 mod check;
 mod choice;
 mod coarse;
+mod counted;
 mod delivered;
 mod emitters;
 mod finish;

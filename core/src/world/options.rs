@@ -9,6 +9,9 @@ use crate::surface::SurfaceError;
 pub struct WorldOptions {
     /// Largest distance between neighbouring elements, metres; chosen from the scene's size where absent.
     pub spacing: Option<f32>,
+    /// How many elements there are to be, where there is no `spacing`: nearly so many, and no more unless the file has
+    /// more vertices ([`Density::of_elements`](crate::Density::of_elements)). The scene then has a warning.
+    pub elements: Option<usize>,
     /// Most squares of its spacing that one object has ([`Density`](crate::Density)). Where absent it is chosen with
     /// the spacing, and there is no such bound on one that is given.
     pub object_squares: Option<f64>,
@@ -50,6 +53,7 @@ impl Default for WorldOptions {
     fn default() -> Self {
         WorldOptions {
             spacing: None,
+            elements: None,
             object_squares: None,
             max_elements: 20_000_000,
             max_triangles: 40_000_000,

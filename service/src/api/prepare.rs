@@ -12,7 +12,7 @@ use super::problem::{ApiResult, Kind, Problem};
 use super::upload_query::Options;
 use super::uploads::{Upload, check_strengths, keep, load_problem, memory_problem};
 use super::{layers, skies};
-use crate::engine::{self, Density, Scene, SurfaceError, World, WorldError};
+use crate::engine::{self, Density, Plan, Scene, SurfaceError, World, WorldError};
 use crate::memory;
 use crate::state::App;
 use crate::store::layers::LAYER_BYTES;
@@ -140,9 +140,15 @@ fn read_scene(app: &App, glb: &Bytes, options: &Options) -> ApiResult<Read> {
     check_strengths(&scene)?;
     scene.groups = options.layers.groups(&scene)?;
     let (areas, vertices) = (engine::object_areas(&scene), memory::vertices(&scene));
-    let wanted = options.spacing.map_or_else(|| Density::chosen(&areas), Density::even);
-    // Where nothing that is large gives way, building says what is too much.
-    let density = wanted.within(&areas, vertices, limits.elements).unwrap_or(wanted);
+    let within = |wanted: Density| {
+        // Where nothing that is large gives way, building says what is too much.
+        wanted.within(&areas, vertices, limits.elements).unwrap_or(wanted)
+    };
+    let density = match (options.spacing, options.elements) {
+        (Some(spacing), _) => within(Density::even(spacing)),
+        (None, Some(elements)) => Density::of_elements(&scene, elements).map_err(|error| world_problem(&error))?,
+        (None, None) => within(Density::chosen(&areas)),
+    };
     let bytes = memory::estimate(density, &areas, vertices);
     Ok(Read { scene, density, bytes })
 }
@@ -152,13 +158,18 @@ fn lay_out(app: &App, Read { scene, density, bytes }: Read, options: &Options) -
     let of_layers = memory::estimate_layers(bytes, layers::count(&scene, &scene.groups));
     let what = if of_layers > 0 { "scene with its layers" } else { "scene" };
     let _promise = app.memory.promise(bytes.saturating_add(of_layers), 0).map_err(|full| memory_problem(what, full))?;
-    let (stated, max_albedo) = (options.mode.stated(), options.max_albedo);
-    let world_options = engine::world_options(density, stated, max_albedo, options.atlas, &app.config.limits);
-    app.config.engine.build(scene, &world_options).map_err(|error| match error {
-        WorldError::Atlas(error) => atlas_problem(&error),
+    let Options { elements, max_albedo, atlas, .. } = *options;
+    let plan = Plan { density, elements, stated: options.mode.stated(), max_albedo, atlas };
+    let built = app.config.engine.build(scene, &plan.within(&app.config.limits));
+    built.map_err(|error| world_problem(&error))
+}
+
+fn world_problem(error: &WorldError) -> Problem {
+    match error {
+        WorldError::Atlas(error) => atlas_problem(error),
         WorldError::TooLarge { .. } | WorldError::Surface { source: SurfaceError::TooManyElements { .. }, .. } => {
             Problem::new(Kind::SceneTooLarge, error.to_string())
         }
         error => Problem::new(Kind::UnsupportedFile, error.to_string()),
-    })
+    }
 }

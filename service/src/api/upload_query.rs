@@ -30,10 +30,15 @@ pub(super) struct CreateQuery {
     /// Name for people.
     #[param(example = "living room")]
     name: Option<String>,
-    /// Largest distance between neighbouring elements, metres; chosen from the scene's size where absent. On a few objects that
-    /// are too large for it (a ground of a square kilometre) they lie farther apart, with a warning.
+    /// Largest distance between neighbouring elements, metres; chosen from the scene's size where neither this nor `elements`
+    /// is given. On a few objects that are too large for it (a ground of a square kilometre) they lie farther apart, with
+    /// a warning.
     #[param(example = 0.1)]
     spacing: Option<f32>,
+    /// How many elements the light map is to have, in place of `spacing`: the spacing is chosen so that there are nearly as
+    /// many, and no more. Where the vertices of the file are more already, it has those, with a warning.
+    #[param(example = 50_000, minimum = 1)]
+    elements: Option<usize>,
     /// What the light map holds; `full` where absent.
     #[param(inline)]
     mode: Option<Mode>,
@@ -104,6 +109,7 @@ pub(super) struct CreateQuery {
 pub(super) struct Options {
     pub(super) name: String,
     pub(super) spacing: Option<f32>,
+    pub(super) elements: Option<usize>,
     pub(super) mode: Mode,
     pub(super) environment: Option<[f32; 3]>,
     pub(super) outside: StoredOutside,
@@ -122,6 +128,7 @@ impl Options {
         let atlas = atlas::asked_for(query.layout, query.texels_per_metre, &app.config.limits)?;
         let (bake, has_target) = (query.bake.unwrap_or(true), query.target.is_some());
         let target = read_target(&query, app)?;
+        check_elements(&query, app.config.limits.elements)?;
         let name = query.name.unwrap_or_else(|| "scene".to_owned());
         check_name(Allowed::ASKED, &name, "name")?;
         if let Some(Err(reason)) = query.spacing.map(check_spacing) {
@@ -135,6 +142,7 @@ impl Options {
         Ok(Options {
             name,
             spacing: query.spacing,
+            elements: query.elements,
             mode: query.mode.unwrap_or_default(),
             environment,
             outside,
@@ -146,6 +154,15 @@ impl Options {
             target: (bake || has_target).then_some(target),
             priority: query.priority.unwrap_or_default(),
         })
+    }
+}
+
+fn check_elements(query: &CreateQuery, most: usize) -> ApiResult<()> {
+    let refused = |reason: String| Err(Problem::field(Kind::InvalidQuery, "elements", reason));
+    match query.elements {
+        Some(_) if query.spacing.is_some() => refused("comes in place of spacing, not beside it".to_owned()),
+        Some(elements) if !(1..=most).contains(&elements) => refused(format!("has to be 1 to {most}, not {elements}")),
+        _ => Ok(()),
     }
 }
 

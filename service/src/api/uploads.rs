@@ -109,6 +109,7 @@ pub(super) fn keep(
         mode: options.mode,
         spacing: outline.density.spacing,
         object_squares: Some(outline.density.object_squares).filter(|squares| squares.is_finite()),
+        elements: options.elements,
         environment: options.environment,
         outside: options.outside.clone(),
         unit: options.unit,

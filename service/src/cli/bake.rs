@@ -62,6 +62,9 @@ pub(super) struct BakeArgs {
     /// Largest distance between neighbouring elements, metres [default: from the scene's size]
     #[arg(long, value_name = "METRES", value_parser = positive)]
     spacing: Option<f64>,
+    /// How many elements there are to be, in place of a spacing
+    #[arg(long, value_name = "N", conflicts_with = "spacing")]
+    elements: Option<NonZeroUsize>,
     /// Samples per element
     #[arg(long, value_name = "N", default_value_t = 128, value_parser = clap::value_parser!(u32).range(1..))]
     samples: u32,
@@ -125,6 +128,7 @@ pub(super) async fn bake(args: BakeArgs) -> anyhow::Result<()> {
 fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
     let start = Instant::now();
     let scene = load_scene(&args.file, &args.sky)?;
+    let loaded = scene.warnings.len();
     // Opened now: a place that cannot be written is better known before the bake than after it.
     let out = args.output.as_deref().map(Replacement::begin).transpose()?;
     if let Some(directory) = &args.atlas {
@@ -135,10 +139,17 @@ fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
     let spacing = args.spacing.map(|spacing| spacing as f32);
     let texels_per_metre = args.texels_per_metre.map(|density| density as f32);
     let atlas = args.atlas.is_some().then(|| AtlasOptions { texels_per_metre, ..AtlasOptions::default() });
-    let options = WorldOptions { spacing, stated, atlas, ..WorldOptions::default() };
+    let options = WorldOptions {
+        spacing,
+        elements: args.elements.map(NonZeroUsize::get),
+        stated,
+        atlas,
+        ..WorldOptions::default()
+    };
     let world = World::new(scene, &options);
     spinner.finish_and_clear();
     let world = world?;
+    world.scene.warnings[loaded..].iter().for_each(|warning| ui::note(&format!("warning: {warning}")));
     let ready = Instant::now();
 
     watch.begin();

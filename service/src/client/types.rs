@@ -13,6 +13,8 @@ pub struct NewScene {
     pub name: Option<String>,
     /// Largest distance between neighbouring elements, metres.
     pub spacing: Option<f32>,
+    /// How many elements there are to be, in place of a spacing.
+    pub elements: Option<usize>,
     /// `full` or `indirect`.
     pub mode: Option<String>,
     /// Constant radiance from outside.
@@ -51,6 +53,7 @@ impl NewScene {
         [
             ("name", self.name.clone()),
             ("spacing", self.spacing.map(|spacing| spacing.to_string())),
+            ("elements", self.elements.map(|elements| elements.to_string())),
             ("mode", self.mode.clone()),
             ("environment", environment),
             ("sky", self.sky.clone()),

@@ -22,6 +22,7 @@ fn restored(break_it: &str) -> Arc<App> {
             mode: Mode::Full,
             spacing: 0.5,
             object_squares: None,
+            elements: None,
             environment: None,
             outside: StoredOutside::default(),
             unit: LightUnit::default(),

@@ -25,6 +25,9 @@ pub(crate) struct SceneRecord {
     /// Most squares of its spacing that one object has; none: as many as it takes.
     #[serde(default)]
     pub(crate) object_squares: Option<f64>,
+    /// How many elements the client asked for, where that is how the spacing was chosen.
+    #[serde(default)]
+    pub(crate) elements: Option<usize>,
     pub(crate) environment: Option<[f32; 3]>,
     #[serde(default)]
     pub(crate) outside: StoredOutside,

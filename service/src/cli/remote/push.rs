@@ -1,5 +1,6 @@
 //! `rebake push`: upload and bake.
 
+use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use rebake::client::types::{NewScene, Scene};
@@ -30,6 +31,9 @@ pub(in super::super) struct PushArgs {
     /// Largest distance between neighbouring elements, metres [default: from the scene's size]
     #[arg(long, value_name = "METRES", value_parser = positive)]
     spacing: Option<f64>,
+    /// How many elements there are to be, in place of a spacing
+    #[arg(long, value_name = "N", conflicts_with = "spacing")]
+    elements: Option<NonZeroUsize>,
     /// What the light map holds: all light, or only what has bounced
     #[arg(long, value_parser = ["full", "indirect"])]
     mode: Option<String>,
@@ -66,6 +70,7 @@ pub(in super::super) async fn push(args: PushArgs) -> anyhow::Result<()> {
     let new = NewScene {
         name: args.name.or_else(|| NewScene::name_of(&args.file)),
         spacing: args.spacing.map(|spacing| spacing as f32),
+        elements: args.elements.map(NonZeroUsize::get),
         mode: args.mode,
         environment: args.sky.environment.map(|rgb| rgb.0.map(|x| x as f32)),
         sky,

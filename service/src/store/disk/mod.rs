@@ -117,6 +117,7 @@ mod tests {
             mode: Mode::Full,
             spacing: 0.1,
             object_squares: None,
+            elements: None,
             environment: None,
             outside: StoredOutside::default(),
             unit: Default::default(),

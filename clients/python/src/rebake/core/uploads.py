@@ -19,6 +19,8 @@ class Upload(TypedDict, total=False):
     name: str
     #: Largest distance between neighbouring elements, metres.
     spacing: float
+    #: How many elements there are to be, in place of a spacing.
+    elements: int
     #: `full` or `indirect`.
     mode: str
     #: What the scene works towards: samples per element, seconds from the upload, stated error.
