@@ -35,6 +35,8 @@ pub struct PointLight {
     /// Standard error of `light`, mean over RGB, from the scatter of its samples: paths that land on other elements meet
     /// other noise of the map. What all of the map has wrong alike is not in it.
     pub error: f32,
+    /// Rays that were traced for it.
+    pub rays: u64,
 }
 
 /// Light that a small surface at each point (world space, metres) would get on the side of its unit normal. The same inputs and
@@ -65,15 +67,16 @@ pub fn light_at(
         }
         let point = (*point - world.scene.origin).as_vec3();
         let from = (point + *n * ray_offset(point, EXTENT), *n);
+        let mut rays = 0;
         let part = |k: usize| match shares[k] {
             0 => (0, Vec3::ZERO),
             count => {
                 let mut draws = PartSeed::whole(subseed(options.seed, k as u64)).draws(index as u64);
-                (count, estimate(world, &field, from, options.part, count, &mut draws))
+                (count, estimate(world, &field, from, (options.part, count), &mut draws, &mut rays))
             }
         };
         let (mean, error) = mean_of(&std::array::from_fn::<_, BATCHES, _>(part));
-        Ok(PointLight { light: mean.max(Vec3::ZERO), error })
+        Ok(PointLight { light: mean.max(Vec3::ZERO), error, rays })
     };
     points.par_iter().enumerate().map(one).collect()
 }
@@ -83,11 +86,11 @@ fn estimate(
     world: &World,
     field: &Field<Vec3>,
     from: (Vec3, Vec3),
-    part: LightPart,
-    samples: u32,
+    (part, samples): (LightPart, u32),
     draws: &mut Draws,
+    rays: &mut u64,
 ) -> Vec3 {
-    let (mut light, rays) = (Vec3::ZERO, &mut 0);
+    let mut light = Vec3::ZERO;
     if part != LightPart::Indirect {
         light += DirectLight::new(world, samples).estimate::<Vec3>(world, from, 1, draws, rays);
     }

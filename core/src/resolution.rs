@@ -5,6 +5,10 @@
 //! Of a point's read light r and an independent exact estimate e, E\[(r − e)²\] = (E\[r\] − E\[e\])² + Var\[r\] + Var\[e\].
 //! Both variances are known, so that their difference is an unbiased estimate of the squared error of resolution.
 
+mod meter;
+
+pub use meter::Meter;
+
 use glam::{DVec3, Vec3};
 
 use crate::bvh::{Hit, Ray};
@@ -20,6 +24,9 @@ use crate::world::{Placed, Stated, World};
 
 /// A mean of fewer squares is not told: a few of them are much larger than the others.
 const LEAST_POINTS: u32 = 32;
+
+/// Nor is one that is not so many times its standard error: its root is a quarter off then, at a standard error.
+const LEAST_CERTAINTY: f64 = 2.0;
 
 /// Part of the squared light that a squared difference of rounding may be.
 const ROUNDING: f32 = 1e-11;
@@ -42,6 +49,20 @@ pub struct ResolutionError {
     pub all: MeanSquare,
     /// Of each object of the world, in its order.
     pub objects: Vec<MeanSquare>,
+    /// Rays that were traced for it.
+    pub rays: u64,
+    /// Of one exact sample: variance, summed over all points.
+    scatter: f64,
+}
+
+impl ResolutionError {
+    /// This and another measurement of the same elements as one.
+    fn pool(&mut self, other: &ResolutionError) {
+        self.all.pool(other.all);
+        self.objects.iter_mut().zip(&other.objects).for_each(|(own, other)| own.pool(*other));
+        self.rays += other.rays;
+        self.scatter += other.scatter;
+    }
 }
 
 /// The mean of a squared error over the area, (irradiance / π)², mean over RGB.
@@ -49,35 +70,53 @@ pub struct ResolutionError {
 pub struct MeanSquare {
     /// Points that it was measured at.
     pub points: u32,
-    sum: f64,
-    squares: f64,
+    /// Of weights w and squared errors q: w, w q, w², w² q, w² q².
+    sums: [f64; 5],
 }
 
 impl MeanSquare {
-    fn add(&mut self, square: f64) {
+    /// Adds a squared error by its weight, which is of the samples that it was measured with.
+    fn add(&mut self, square: f64, weight: f64) {
         self.points += 1;
-        self.sum += square;
-        self.squares += square * square;
+        let (value, weight2) = (weight * square, weight * weight);
+        let added = [weight, value, weight2, weight * value, value * value];
+        self.sums.iter_mut().zip(added).for_each(|(sum, added)| *sum += added);
+    }
+
+    /// What it is kept by: points, and sums over them.
+    pub fn sums(&self) -> (u32, [f64; 5]) {
+        (self.points, self.sums)
+    }
+
+    /// As it was kept ([`MeanSquare::sums`]).
+    pub fn of_sums((points, sums): (u32, [f64; 5])) -> MeanSquare {
+        MeanSquare { points, sums }
+    }
+
+    fn pool(&mut self, other: MeanSquare) {
+        self.points += other.points;
+        self.sums.iter_mut().zip(other.sums).for_each(|(sum, other)| *sum += other);
     }
 
     /// The mean; unbiased, and below zero where chance has it so.
     pub fn mean(&self) -> f64 {
-        self.sum / f64::from(self.points.max(1))
+        if self.points > 0 { self.sums[1] / self.sums[0] } else { 0.0 }
     }
 
     /// Standard error of the mean; infinite of less than two points.
     pub fn standard_error(&self) -> f64 {
-        let n = f64::from(self.points);
         if self.points < 2 {
             return f64::INFINITY;
         }
-        ((self.squares / n - self.mean() * self.mean()).max(0.0) / (n - 1.0)).sqrt()
+        let (mean, [all, _, ww, wwq, wwqq]) = (self.mean(), self.sums);
+        let n = f64::from(self.points);
+        ((wwqq - 2.0 * mean * wwq + mean * mean * ww).max(0.0) * n / (n - 1.0)).sqrt() / all
     }
 
     /// The root of the mean: the error of resolution, irradiance / π. None where it was measured at too few points, or
     /// is too small to be told from the noise of the samples.
     pub fn rmse(&self) -> Option<f32> {
-        let is_known = self.points >= LEAST_POINTS && self.mean() > self.standard_error();
+        let is_known = self.points >= LEAST_POINTS && self.mean() > LEAST_CERTAINTY * self.standard_error();
         is_known.then(|| self.mean().sqrt() as f32)
     }
 }
@@ -96,6 +135,24 @@ pub fn resolution_error(
     options: &ResolutionOptions,
     observer: &dyn Observer,
 ) -> Result<Option<ResolutionError>, Canceled> {
+    error_against((world, map), (world, map), options, observer)
+}
+
+/// As [`resolution_error`], with exact samples that are gathered over another map, of the same scene: over one with much
+/// finer elements what a map has wrong everywhere, since it holds too little of the light that is sent out, is in its
+/// error, too.
+///
+/// # Errors
+/// [`Canceled`] where the observer says so.
+///
+/// # Panics
+/// Where a map has not one value per slot of its world.
+pub fn error_against(
+    (world, map): (&World, &LightMap),
+    (exact_world, exact_map): (&World, &LightMap),
+    options: &ResolutionOptions,
+    observer: &dyn Observer,
+) -> Result<Option<ResolutionError>, Canceled> {
     assert_eq!(map.len(), world.slots(), "a light map has one value per slot");
     if map.light.variance.is_empty() {
         return Ok(None);
@@ -109,7 +166,8 @@ pub fn resolution_error(
     let points: Vec<(DVec3, Vec3)> =
         places.iter().map(|place| (world.scene.origin + place.point.as_dvec3(), place.normal)).collect();
     let seed = subseed(options.seed, 0xe8ac);
-    let exact = light_at(world, map, &points, &PointOptions { part, samples: options.samples, seed }, observer)?;
+    let exact =
+        light_at(exact_world, exact_map, &points, &PointOptions { part, samples: options.samples, seed }, observer)?;
     let mut error = ResolutionError { objects: vec![MeanSquare::default(); world.placed.len()], ..Default::default() };
     for (place, exact) in places.iter().zip(exact) {
         let read = place.footprint.interpolate(&*values);
@@ -119,9 +177,12 @@ pub fn resolution_error(
         let square = f64::from((read - exact.light).length_squared()) / 3.0 - variance;
         // What is left of rounding is none.
         let square = if square.abs() > f64::from(ROUNDING * exact.light.length_squared()) { square } else { 0.0 };
+        error.rays += exact.rays;
         if square.is_finite() {
-            error.all.add(square);
-            error.objects[place.object].add(square);
+            let samples = f64::from(options.samples.max(2));
+            error.all.add(square, samples);
+            error.objects[place.object].add(square, samples);
+            error.scatter += samples * f64::from(exact.error).powi(2);
         }
     }
     Ok(Some(error))

@@ -14,6 +14,7 @@ pub(crate) use rebake_core::atlas::{Atlas, AtlasError, AtlasOptions};
 pub(crate) use rebake_core::export::{LightAbout, Originals};
 pub(crate) use rebake_core::layers::{Layer, LightValues, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER};
 pub(crate) use rebake_core::object_areas;
+pub(crate) use rebake_core::resolution::{MeanSquare, Meter, ResolutionError, noise_of_objects};
 pub(crate) use rebake_core::scene::Object;
 use rebake_core::scene::{self, DEFAULT_MAX_ALBEDO, LoadLimits, NodeSource};
 pub use rebake_core::scene::{LoadError, Scene};

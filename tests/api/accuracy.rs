@@ -2,6 +2,7 @@
 
 use serde_json::{Value, json};
 
+use super::durable::{fast_directory, start};
 use super::engine::Step;
 use super::glb;
 use super::server::{Server, path_of};
@@ -51,5 +52,51 @@ async fn what_is_not_known_is_null_and_what_cannot_be_is_refused() {
     }
     script.run(&[Step::Round, Step::Finish]);
     server.end_of(scene["current_job"].as_str().unwrap()).await;
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn both_errors_are_stated_while_light_is_computed() {
+    let directory = fast_directory();
+    let server = start(directory.path()).await;
+    let upload = async |server: &Server, query: &str| {
+        server.post_glb(&format!("/v1/scenes?spacing=1&{query}"), glb::room().bytes()).await.json(201)
+    };
+    let scene = upload(&server, "samples_per_element=8192").await;
+    assert_eq!(scene["light_error"], json!({ "noise": null, "resolution": null }));
+    let bake = server.end_of(scene["current_job"].as_str().unwrap()).await;
+    let lit = server.get(&path_of(&scene)).await.json(200);
+    let stated = &lit["light_error"];
+    assert_eq!(stated["noise"], lit["estimated_rmse"]);
+    assert_eq!(&bake["progress"]["light_error"], stated);
+    assert_eq!(bake["warnings"], json!([]), "it had no target but samples");
+    let [noise, resolution] = ["noise", "resolution"].map(|kind| stated[kind].as_f64().unwrap());
+    assert!(noise > 0.0 && resolution > noise, "{stated}");
+    // What is measured with many samples when it is asked for is about the same.
+    let asked = server.get(&format!("{}/error", path_of(&scene))).await.json(200);
+    let ratio = resolution / asked["error"]["resolution"].as_f64().unwrap();
+    assert!((2.0 / 3.0..1.5).contains(&ratio), "{stated} {}", asked["error"]);
+    for (object, asked) in lit["objects"].as_array().unwrap().iter().zip(asked["objects"].as_array().unwrap()) {
+        assert_eq!(object["light_error"]["noise"], asked["error"]["noise"]);
+    }
+    assert!(lit["objects"][0]["light_error"]["resolution"].as_f64().is_some_and(|room| room > 0.0), "{lit}");
+    let object = server.get(&format!("{}/objects/room?format=json", path_of(&scene))).await.json(200);
+    assert_eq!(object["object"]["light_error"], lit["objects"][0]["light_error"]);
+    server.stop().await;
+
+    let server = start(directory.path()).await;
+    let again = server.get(&path_of(&scene)).await.json(200);
+    assert_eq!((&again["light_error"], &again["objects"]), (stated, &lit["objects"]));
+    // One round of samples: of the new light nothing but a guess of its noise is known.
+    let edit = json!({ "op": "remove", "objects": ["cupboard"], "budget": { "samples_per_element": 4 } });
+    server.end_of(&server.edit(&scene, &edit).await).await;
+    let edited = server.get(&path_of(&scene)).await.json(200);
+    assert!(edited["light_error"]["resolution"].is_null(), "{edited}");
+    // The same bake towards its own noise ends there, and tells that it is not all.
+    let query = format!("samples_per_element=20000&target_rmse={}", 1.001 * noise);
+    let job = server.end_of(upload(&server, &query).await["current_job"].as_str().unwrap()).await;
+    assert_eq!(&job["progress"]["light_error"], stated, "{job}");
+    let warning = job["warnings"][0].as_str().unwrap();
+    assert!(warning.contains("error of resolution") && job["state"] == "succeeded", "{warning}");
     server.stop().await;
 }

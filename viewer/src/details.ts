@@ -102,8 +102,12 @@ const middle = ({ bounds: { min, max } }: SceneObject) => min.map((low, k) => (l
 
 function ofObject(object: SceneObject, actions: Actions): HTMLElement[] {
   const about = `${object.elements.count.toLocaleString('en')} elements, ${object.triangles.toLocaleString('en')} triangles`;
+  const { noise = null, resolution = null } = object.light_error;
+  const errors = [['noise', noise] as const, ['resolution', resolution] as const].filter(([, error]) => error !== null);
+  const stated = errors.map(([kind, error]) => `${error!.toPrecision(2)} of ${kind}`).join(', ');
   return [
     make('p', { class: 'quiet' }, about),
+    ...(stated ? [make('p', { class: 'quiet', title: 'Errors of its light: irradiance / π' }, `Stated error: ${stated}`)] : []),
     ...place(object, actions),
     color('Albedo', object.albedo, actions.paint),
   ];

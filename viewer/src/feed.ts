@@ -1,6 +1,6 @@
 // What the service tells of the scene that is shown: its jobs, its events, its light map as it changes.
 
-import { isOpen, makeWorker, streamInWorker, type Filter, type FromWorker, type Job, type Snapshot } from 'rebake';
+import { isOpen, makeWorker, streamInWorker, type Filter, type FromWorker, type Job, type Snapshot, type LightError } from 'rebake';
 import { client } from './api';
 import { banner, say } from './messages';
 import { merge } from './work';
@@ -14,7 +14,7 @@ export interface FeedEvents {
   scene(): Promise<void>;
   snapshot(snapshot: Snapshot): void;
   /** The map has a stated error, and is of elements of a version. */
-  stated(error: number | null, elementsVersion: number): void;
+  stated(error: number | null, each: LightError, elementsVersion: number): void;
   /** The connection is back after it was lost. */
   back(): Promise<void>;
   deleted(): void;
@@ -83,7 +83,7 @@ export class Feed {
       else if (type === 'scene' && data.what === 'deleted') heard.deleted();
       else if (type === 'scene') void heard.attempt(() => heard.scene());
       else if (type === 'reset') await heard.attempt(() => this.listJobs(id).then(() => heard.scene()));
-      else if (type === 'snapshot') heard.stated(data.estimated_rmse ?? null, data.elements_version);
+      else if (type === 'snapshot') heard.stated(data.estimated_rmse ?? null, data.light_error, data.elements_version);
     }
   }
 

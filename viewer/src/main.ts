@@ -35,9 +35,9 @@ const feed = new Feed({
   jobs: () => (panelsOfWork(), settle()),
   scene: () => refresh(),
   snapshot,
-  stated(error, elementsVersion) {
+  stated(error, each, elementsVersion) {
     if (!scene) return;
-    scene.estimated_rmse = error;
+    Object.assign(scene, { estimated_rmse: error, light_error: each });
     if (elementsVersion > scene.elements_version) void attempt(refresh);
   },
   back: async () => editor.resume(),
@@ -198,9 +198,9 @@ const refresh = coalesce(async () => {
 // ---- what the service tells
 
 function heard(job: Job): void {
-  const { estimated_rmse, elapsed_ms } = job.progress;
+  const { estimated_rmse, light_error, elapsed_ms } = job.progress;
   if (typeof estimated_rmse === 'number') plot.add(job.id, elapsed_ms / 1000, estimated_rmse);
-  if (scene && !isOpen(job)) scene.estimated_rmse = estimated_rmse ?? scene.estimated_rmse;
+  if (scene && !isOpen(job) && typeof estimated_rmse === 'number') Object.assign(scene, { estimated_rmse, light_error });
   panelsOfWork();
   // Layers and their weights are those of the newest version.
   if (scene && !isOpen(job)) void attempt(refresh);

@@ -1,6 +1,6 @@
 // The running job, and those that wait.
 
-import { isOpen, type Job, type Scene } from 'rebake';
+import { isOpen, type Job, type Scene, type LightError } from 'rebake';
 import { $, button, make } from './dom';
 
 export interface WorkActions {
@@ -34,9 +34,12 @@ export function work(jobs: Job[], scene: Scene | null, actions: WorkActions): vo
   $('queue').replaceChildren(...items);
 }
 
+/** What the distance between elements adds to the noise. */
+const beside = ({ resolution = null }: LightError) => (resolution === null ? '' : `, of resolution ${resolution.toPrecision(3)}`);
+
 function open(job: Job, actions: WorkActions): HTMLElement[] {
-  const { fraction, elapsed_ms, remaining_ms: left = null, estimated_rmse: rmse = null, pass, samples_per_element } = job.progress;
-  const error = rmse === null ? 'no light yet' : `stated error ${rmse.toPrecision(3)}`;
+  const { fraction, elapsed_ms, remaining_ms: left = null, estimated_rmse: rmse = null, light_error, pass, samples_per_element } = job.progress;
+  const error = rmse === null ? 'no light yet' : `stated error ${rmse.toPrecision(3)}${beside(light_error)}`;
   const text = [
     `${job.kind}, ${job.state === 'paused' ? 'paused' : (pass ?? 'starting').replace('_', ' ')}`,
     `${samples_per_element} samples per element, ${error}`,
@@ -54,7 +57,7 @@ function rest(jobs: Job[], scene: Scene | null, actions: WorkActions): HTMLEleme
   const last = jobs.find((job) => !isOpen(job));
   const how = last && { failed: `failed: ${last.error ?? ''}`, canceled: 'was canceled' }[last.state as string];
   const rmse = scene?.estimated_rmse ?? null;
-  const fine = rmse === null ? 'Nothing to do.' : rmse === 0 ? 'Up to date.' : `Up to date, stated error ${rmse.toPrecision(3)}.`;
+  const fine = rmse === null ? 'Nothing to do.' : rmse === 0 ? 'Up to date.' : `Up to date, stated error ${rmse.toPrecision(3)}${beside(scene!.light_error)}.`;
   const isUnlit = Boolean(scene?.unlit_edits) && !jobs.some(isOpen);
   const text = [how ? `The last job ${how}.` : isUnlit ? '' : fine, isUnlit ? `${scene!.unlit_edits === 1 ? 'One edit is' : `${scene!.unlit_edits} edits are`} not in the light yet.` : ''];
   const paragraph = make('p', { class: 'quiet' }, text.filter(Boolean).join(' '));

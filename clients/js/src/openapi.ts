@@ -179,7 +179,7 @@ export interface ErrorReport {
   /** Which light is meant: the scene's mode. */
   part: SamplePart;
   /** Over all surfaces. */
-  error: MapError;
+  error: LightError;
   /** Points that resolution was measured at; those inside of solids do not count. */
   points: number;
   /** Object by object, in the order of the scene; hidden ones have no light. */
@@ -340,6 +340,8 @@ export interface Job {
   finished_at?: string | null;
   /** Why it failed. */
   error?: string | null;
+  /** What to know of how it ended: its `target_rmse` counts noise alone, and is met where the error of resolution is larger. */
+  warnings: string[];
 }
 
 /** What a job does. */
@@ -373,6 +375,8 @@ export interface JobProgress {
    * π).
    */
   estimated_rmse?: number | null;
+  /** Its errors: of chance, and of the distance between elements. */
+  light_error: LightError;
   /** Rays traced. */
   rays: number;
   /** Newest version that the job published. */
@@ -413,10 +417,10 @@ export interface Light {
 }
 
 /**
- * Errors of light as it is kept, before its noise is averaged away: irradiance / π, mean over RGB. The error of a value
- * that is read between elements is about the root of the sum of both squares.
+ * Errors of light as it is kept, before its noise is averaged away: irradiance / π, mean over RGB, of the light that the
+ * map holds. The error of a value that is read between elements is about the root of the sum of both squares.
  */
-export interface MapError {
+export interface LightError {
   /** Of chance: it falls with samples. Null where nothing is known, as of an estimate or of light that is not up to date. */
   noise?: number | null;
   /**
@@ -485,7 +489,7 @@ export interface ObjectError {
   /** Its name. */
   object: string;
   /** Over its surface. */
-  error: MapError;
+  error: LightError;
   /** Points on it. */
   points: number;
 }
@@ -753,6 +757,11 @@ export interface Scene {
   memory_bytes: number;
   /** Stated error of the light that the map holds (`mode`): area-weighted RMSE (irradiance / π). */
   estimated_rmse?: number | null;
+  /**
+   * Its errors: of chance, and of the distance between elements, which is measured while light is computed. Null after an
+   * edit until there is light for it.
+   */
+  light_error: LightError;
   target?: Budget | null;
   /** Edit requests that were accepted so far and changed something. The scene's `ETag`, which `If-Match` compares with. */
   accepted_edits: number;
@@ -833,6 +842,8 @@ export interface SceneObject {
   name: string;
   /** Its elements. */
   elements: ElementRange;
+  /** Errors of its light. */
+  light_error: LightError;
   /** The second half of its elements belongs to the back of its surface. */
   with_back: boolean;
   /** Triangles after subdivision. */
@@ -969,6 +980,8 @@ export interface SnapshotEvent {
   samples_per_element?: number | null;
   /** Stated error of this version. */
   estimated_rmse?: number | null;
+  /** Its errors: of chance, and of the distance between elements. */
+  light_error: LightError;
 }
 
 /** Shines in a cone. */

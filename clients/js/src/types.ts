@@ -25,7 +25,7 @@ export type AtlasObject = With<api.AtlasObject, OnPage & { back?: With<api.Atlas
 export type Atlas = With<api.AtlasDocument, { objects: AtlasObject[] }>;
 export type {
   Asset, AssetSummary, Budget, Focus, HistoryEntry, HistoryPage, Job, JobPriority, NewLight, ObjectDetail, Samples,
-  SceneEvent, ScenePatch, ScenePlan, SceneSummary, SnapshotEvent,
+  SceneEvent, ScenePatch, ScenePlan, SceneSummary, SnapshotEvent, LightError,
 } from './openapi.js';
 
 /** What is done to light on its way here; what the service keeps stays as it is. */

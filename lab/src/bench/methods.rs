@@ -125,7 +125,7 @@ impl Stopwatch {
 }
 
 /// What this process has used of the processors so far: Linux tells in hundredths of a second.
-fn process_cpu_seconds() -> Option<f64> {
+pub fn process_cpu_seconds() -> Option<f64> {
     let text = std::fs::read_to_string("/proc/self/stat").ok()?;
     // Behind the name, which may hold anything: user and system time are the 12th and 13th field.
     let mut fields = text.rsplit_once(')')?.1.split_whitespace().skip(11);

@@ -17,7 +17,7 @@ mod subject;
 pub use crate::paper::Equation;
 pub use cases::{Case, CaseKind, EditFile, PreparedCase};
 pub use gallery::PictureOptions;
-pub use methods::{Goal, Method, Timed, run_method};
+pub use methods::{Goal, Method, Timed, process_cpu_seconds, run_method};
 pub use plot::{study_svg, svg};
 pub use reference::{Measured, Reference};
 pub use report::{BaseReport, CaseReport, PictureReport, ReferenceReport, Report, RunReport, Setup};

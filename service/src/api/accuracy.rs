@@ -10,7 +10,7 @@ use utoipa::{IntoParams, ToSchema};
 use super::extract::{ApiPath, ApiQuery};
 use super::problem::{ApiResult, Kind, Problem};
 use super::sample::SamplePart;
-use super::types::finite;
+use super::types::{LightError, finite};
 use super::versioned::VERSION;
 use super::{Shared, find_scene};
 use crate::config::Limits;
@@ -45,25 +45,12 @@ pub(super) struct ErrorReport {
     /// Which light is meant: the scene's mode.
     part: SamplePart,
     /// Over all surfaces.
-    error: MapError,
+    error: LightError,
     /// Points that resolution was measured at; those inside of solids do not count.
     #[schema(example = 3952)]
     points: u32,
     /// Object by object, in the order of the scene; hidden ones have no light.
     objects: Vec<ObjectError>,
-}
-
-/// Errors of light as it is kept, before its noise is averaged away: irradiance / π, mean over RGB. The error of a value
-/// that is read between elements is about the root of the sum of both squares.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize, ToSchema)]
-pub(super) struct MapError {
-    /// Of chance: it falls with samples. Null where nothing is known, as of an estimate or of light that is not up to date.
-    #[schema(example = 0.004)]
-    noise: Option<f32>,
-    /// Of the distance between elements: it falls with their spacing, and no number of samples makes it smaller. Null
-    /// where the noise is not known, where too few points were measured, or where it is too small to be told from noise.
-    #[schema(example = 0.02)]
-    resolution: Option<f32>,
 }
 
 /// How accurate the light of an object is.
@@ -73,7 +60,7 @@ pub(super) struct ObjectError {
     #[schema(example = "sofa")]
     object: String,
     /// Over its surface.
-    error: MapError,
+    error: LightError,
     /// Points on it.
     #[schema(example = 214)]
     points: u32,
@@ -129,18 +116,18 @@ fn report(published: &Published, options: &ResolutionOptions, watch: &Watch) -> 
     };
     let names = world.scene.objects.iter().map(|object| object.name.clone());
     let noise = if published.is_known() { noise_of_objects(world, map) } else { vec![None; names.len()] };
-    let ResolutionError { all, objects } = measured.unwrap_or_default();
+    let ResolutionError { all, objects, .. } = measured.unwrap_or_default();
     let objects = objects.into_iter().chain(std::iter::repeat(MeanSquare::default()));
     let objects = names.zip(noise).zip(objects).map(|((object, noise), resolution)| ObjectError {
         object,
-        error: MapError { noise, resolution: resolution.rmse() },
+        error: LightError { noise, resolution: resolution.rmse() },
         points: resolution.points,
     });
     let noise = published.estimated_rmse.filter(|_| published.is_known()).and_then(finite);
     Some(ErrorReport {
         version: *version,
         part: published.mode().into(),
-        error: MapError { noise, resolution: all.rmse() },
+        error: LightError { noise, resolution: all.rmse() },
         points: all.points,
         objects: objects.collect(),
     })

@@ -183,7 +183,11 @@ fn accept(
     spec.sequence = head.sequence + u64::from(transition.is_some());
     let sequence = spec.sequence;
     let record = new_record(ticket.number, scene, (JobKind::Edit, priority), spec);
-    let job = Job::new(&app.ids, &record.job, &About { scene: scene.id.clone(), sequence });
+    let job = Job::new(
+        &app.ids,
+        &record.job,
+        &About { scene: scene.id.clone(), sequence, target_rmse: record.spec.budget.target_rmse },
+    );
     let answer = to_event_data(&job);
     let key = key.map(|(key, body_hash)| KeyRecord { key, body_hash, job: ticket.number, answer: answer.clone() });
     let accepted_at = record.job.created_at;

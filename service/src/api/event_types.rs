@@ -5,6 +5,8 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use super::types::LightError;
+
 /// Data of a `snapshot` event: a new version is there.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 pub struct SnapshotEvent {
@@ -21,6 +23,8 @@ pub struct SnapshotEvent {
     pub samples_per_element: Option<u32>,
     /// Stated error of this version.
     pub estimated_rmse: Option<f32>,
+    /// Its errors: of chance, and of the distance between elements.
+    pub light_error: LightError,
 }
 
 /// What happened to a scene.

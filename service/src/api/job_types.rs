@@ -4,7 +4,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::types::finite;
+use super::types::{LightError, finite};
 use crate::ids::Ids;
 use crate::jobs::{About, queue};
 
@@ -49,6 +49,8 @@ pub struct Job {
     pub finished_at: Option<Timestamp>,
     /// Why it failed.
     pub error: Option<String>,
+    /// What to know of how it ended: its `target_rmse` counts noise alone, and is met where the error of resolution is larger.
+    pub warnings: Vec<String>,
 }
 
 impl Job {
@@ -71,6 +73,7 @@ impl Job {
                 elapsed_ms: progress.elapsed_ms,
                 remaining_ms: progress.remaining_ms,
                 estimated_rmse: progress.estimated_rmse.and_then(finite),
+                light_error: LightError { noise: progress.estimated_rmse, resolution: progress.resolution }.finite(),
                 rays: progress.rays,
                 version: progress.version,
             },
@@ -78,8 +81,20 @@ impl Job {
             started_at: job.started_at(),
             finished_at: ended.map(|ended| ended.finished_at),
             error: ended.and_then(|ended| ended.outcome.error().map(str::to_owned)),
+            warnings: ended.and_then(|_| too_coarse(progress, about.target_rmse)).into_iter().collect(),
         }
     }
+}
+
+/// Says that a target is met by noise alone.
+fn too_coarse(progress: &queue::JobProgress, target: Option<f32>) -> Option<String> {
+    let (target, noise, resolution) = (target?, progress.estimated_rmse?, progress.resolution?);
+    (noise <= target && resolution > target).then(|| {
+        format!(
+            "the noise is {noise:.2e}, less than the target of {target:.2e}, but the error of resolution is {resolution:.2e}: \
+             more samples do not change that, elements that lie closer together do"
+        )
+    })
 }
 
 /// How far a job is.
@@ -104,6 +119,8 @@ pub struct JobProgress {
     /// π).
     #[schema(example = 0.012)]
     pub estimated_rmse: Option<f32>,
+    /// Its errors: of chance, and of the distance between elements.
+    pub light_error: LightError,
     /// Rays traced.
     #[schema(example = 1_200_345)]
     pub rays: u64,

@@ -13,7 +13,7 @@ use super::coding::encode_body;
 use super::extract::{ApiPath, ApiQuery, Coding, first_named};
 use super::paging::Onward;
 use super::problem::{ApiResult, Kind, Problem};
-use super::scenes::ListQuery;
+use super::scenes::{ListQuery, objects};
 use super::types::{SceneObject, finite};
 use super::versioned::Versioned;
 use super::{Shared, find_scene};
@@ -110,7 +110,7 @@ pub(super) async fn list(
         // Numbers of entries begin with 1: nothing is before the first page.
         let number = |object: &SceneObject| u64::from(object.index) + 1;
         let after = usize::try_from(page.after).unwrap_or(usize::MAX);
-        let found = published.objects().iter().skip(after).take(page.limit + 1).map(SceneObject::new).collect();
+        let found = objects(&published).skip(after).take(page.limit + 1).collect();
         let (items, next_cursor) = page.cut(found, number);
         let (version, elements_version) = (published.version, published.elements_version);
         serde_json::to_vec(&ObjectPage { items, version, elements_version, next_cursor })
@@ -232,7 +232,10 @@ fn detail(published: &Published, summary: &ObjectSummary) -> ObjectDetail {
     ObjectDetail {
         version: published.version,
         elements_version: published.elements_version,
-        object: SceneObject::new(summary),
+        object: SceneObject::new(
+            summary,
+            published.stated_of_objects().nth(summary.index as usize).unwrap_or_default(),
+        ),
         mesh: ObjectMesh {
             vertices: mesh.positions.len() as u64,
             triangles: mesh.triangles.len() as u64,

@@ -195,10 +195,11 @@ fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::
         triangles: world.triangle_count() as u64,
         memory_bytes: (world.memory_bytes() + published.memory_bytes() + scene.aside_bytes(published)) as u64,
         estimated_rmse: published.estimated_rmse.and_then(finite),
+        light_error: published.stated().into(),
         target: scene.target().map(to_target),
         accepted_edits: scene.accepted_edits(),
         unlit_edits: scene.unlit() as u64,
-        objects: published.objects().iter().map(types::SceneObject::new).collect(),
+        objects: objects(published).collect(),
         lights: world.lights().map(|info| light(&info, &published.map)).collect(),
         layers: published.layers.iter().map(layers::describe).collect(),
         cameras: world.scene.cameras.iter().zip(0..).map(camera).collect(),
@@ -208,6 +209,12 @@ fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::
         error: scene.error(),
         created_at: scene.created_at,
     }
+}
+
+/// The objects of a version, in order.
+pub(super) fn objects(published: &Published) -> impl Iterator<Item = types::SceneObject> + '_ {
+    let errors = published.stated_of_objects();
+    published.objects().iter().zip(errors).map(|(object, stated)| types::SceneObject::new(object, stated))
 }
 
 fn to_target(target: JobBudget) -> Budget {

@@ -12,6 +12,7 @@ pub use super::job_types::{Job, JobKind, JobPriority, JobProgress, JobState};
 pub use super::light_types::{Light, PartName, SceneLayer, SceneLayerLight};
 use crate::engine;
 use crate::mode::Mode;
+use crate::store::versions::Stated;
 
 /// Whether a scene can be worked with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -34,6 +35,32 @@ impl From<crate::store::scene::SceneState> for SceneState {
             Kept::Ready => SceneState::Ready,
             Kept::Damaged => SceneState::Damaged,
         }
+    }
+}
+
+/// Errors of light as it is kept, before its noise is averaged away: irradiance / π, mean over RGB, of the light that the
+/// map holds. The error of a value that is read between elements is about the root of the sum of both squares.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct LightError {
+    /// Of chance: it falls with samples. Null where nothing is known, as of an estimate or of light that is not up to date.
+    #[schema(example = 0.004)]
+    pub noise: Option<f32>,
+    /// Of the distance between elements: it falls with their spacing, and no number of samples makes it smaller. Null
+    /// where the noise is not known, where too few points were measured, or where it is too small to be told from noise.
+    #[schema(example = 0.02)]
+    pub resolution: Option<f32>,
+}
+
+impl LightError {
+    /// JSON has no infinity.
+    pub(crate) fn finite(self) -> LightError {
+        LightError { noise: self.noise.and_then(finite), resolution: self.resolution.and_then(finite) }
+    }
+}
+
+impl From<Stated> for LightError {
+    fn from(Stated { noise, resolution }: Stated) -> LightError {
+        LightError { noise, resolution }.finite()
     }
 }
 
@@ -78,6 +105,9 @@ pub struct Scene {
     /// Stated error of the light that the map holds (`mode`): area-weighted RMSE (irradiance / π).
     #[schema(example = 0.012)]
     pub estimated_rmse: Option<f32>,
+    /// Its errors: of chance, and of the distance between elements, which is measured while light is computed. Null after an
+    /// edit until there is light for it.
+    pub light_error: LightError,
     /// What the scene works towards whenever no edit waits, until the first bound is reached; absent where it was uploaded
     /// without a bake.
     pub target: Option<Budget>,
@@ -193,6 +223,8 @@ pub struct SceneObject {
     pub name: String,
     /// Its elements.
     pub elements: ElementRange,
+    /// Errors of its light.
+    pub light_error: LightError,
     /// The second half of its elements belongs to the back of its surface.
     pub with_back: bool,
     /// Triangles after subdivision.
@@ -217,11 +249,12 @@ pub struct SceneObject {
 }
 
 impl SceneObject {
-    pub(crate) fn new(object: &engine::ObjectSummary) -> SceneObject {
+    pub(crate) fn new(object: &engine::ObjectSummary, stated: Stated) -> SceneObject {
         SceneObject {
             index: object.index,
             name: object.name.clone(),
             elements: ElementRange { first: object.first_element, count: object.elements },
+            light_error: stated.into(),
             with_back: object.with_back,
             triangles: object.triangles,
             bounds: Bounds { min: object.bounds.0.to_array(), max: object.bounds.1.to_array() },

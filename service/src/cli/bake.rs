@@ -14,6 +14,7 @@ use rebake_core::atlas::AtlasOptions;
 use rebake_core::export::{
     LightAbout, LightLayout, LitExport, Originals, Precision, lightmap_exr, write_lit_glb, write_page_exr,
 };
+use rebake_core::resolution::Meter;
 use rebake_core::scene::{LoadLimits, Scene, load_path, open_original};
 use rebake_core::texels::read_page;
 use rebake_core::{Budget, LightMap, Observer, Progress, Snapshot, Unobserved, World, WorldOptions};
@@ -161,6 +162,12 @@ fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
         Some(map) => map,
         None => return Err(Interrupted(" before there was a light map; nothing is written").into()),
     };
+    // Not of a map that one round has given: its noise is guessed.
+    let mut meter = Meter::after_maps(seen.maps.saturating_sub(1));
+    // At first few points, which tell what the others cost.
+    for _ in 0..2 {
+        meter.measure(&world, &map, seen.rays, args.seed, &Unobserved)?;
+    }
     let done = Instant::now();
 
     let values = |default: Filter| -> anyhow::Result<_> {
@@ -193,7 +200,9 @@ fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
     line("rays", ui::short(seen.rays as f64))?;
     let times = (scene_time.as_secs_f64(), bake_time.as_secs_f64());
     line("time", format!("{} scene, {} bake", ui::seconds(times.0), ui::seconds(times.1)))?;
-    line("stated error", ui::rmse(f64::from(stated)))?;
+    let resolution = meter.error().and_then(|error| error.all.rmse());
+    let resolution = resolution.map_or_else(|| "not known".to_owned(), |rmse| ui::rmse(f64::from(rmse)));
+    line("stated error", format!("noise {}, resolution {resolution}", ui::rmse(f64::from(stated))))?;
     for (path, bytes) in written {
         line("written", format!("{}, {}", path.display(), ui::bytes(bytes)))?;
     }
@@ -253,6 +262,8 @@ struct Seen {
     map: Option<Arc<LightMap>>,
     samples: u32,
     rays: u64,
+    /// Maps that stated their error.
+    maps: u64,
 }
 
 impl Watch {
@@ -330,8 +341,9 @@ impl Observer for Watch {
         }
     }
 
-    fn snapshot(&self, map: &Arc<LightMap>, _: Snapshot, progress: &Progress) {
+    fn snapshot(&self, map: &Arc<LightMap>, snapshot: Snapshot, progress: &Progress) {
         let mut seen = self.seen();
+        seen.maps += u64::from(matches!(snapshot, Snapshot::Complete { stated: Some(_) }));
         seen.map = Some(Arc::clone(map));
         seen.samples = progress.samples_per_element;
         seen.rays = progress.rays;

@@ -179,6 +179,9 @@ pub struct Job {
     /// What went wrong.
     #[serde(default)]
     pub error: Option<serde_json::Value>,
+    /// What to know of how it ended.
+    #[serde(default)]
+    pub warnings: Vec<String>,
 }
 
 impl Job {
@@ -188,6 +191,16 @@ impl Job {
         let text = error.as_str().or_else(|| error["detail"].as_str()).or_else(|| error["title"].as_str());
         Some(text.map_or_else(|| error.to_string(), str::to_owned))
     }
+}
+
+/// Errors of light, as far as they are known.
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[serde(default)]
+pub struct LightError {
+    /// Of chance.
+    pub noise: Option<f64>,
+    /// Of the distance between elements.
+    pub resolution: Option<f64>,
 }
 
 /// How far a job is.
@@ -204,6 +217,8 @@ pub struct JobProgress {
     pub elapsed_ms: Option<u64>,
     /// The stated error of the newest version.
     pub estimated_rmse: Option<f64>,
+    /// Its errors, each.
+    pub light_error: LightError,
     /// Rays traced so far.
     pub rays: Option<u64>,
     /// The newest version of the job.

@@ -10,12 +10,12 @@ use std::time::Instant;
 
 use super::phases::PhaseClock;
 use super::scheduler::{self, Spell, UpToDate};
-use super::seeds::next_seed;
+use super::seeds::{mixed, next_seed};
 use super::stop::Stop;
 use super::{Jobs, State};
 use crate::compute::catching;
 use crate::config::IdleRefine;
-use crate::engine::{Budget, LightMap, Observer, Progress, Snapshot, mean_light};
+use crate::engine::{Budget, LightMap, Meter, Observer, Progress, Snapshot, World, mean_light};
 use crate::store::lighting::Lit;
 use crate::store::scene::SceneEntry;
 
@@ -99,8 +99,10 @@ fn refine(jobs: &Arc<Jobs>, scene: &Arc<SceneEntry>, spell: Spell, bounds: IdleR
     tracing::debug!(scene = scene.id, stated, target, "refining");
     // Versions do not repeat, so every spell has random numbers of its own.
     let seed = next_seed(jobs.config.seed, &mut (FIRST_SEED | published.version));
-    let held = Held { map: map.clone(), stated, clock: PhaseClock::default(), saved: Instant::now(), is_over: false };
-    let observer = IdleObserver { jobs, scene, stop, held: Mutex::new(held) };
+    let meter = Meter::after(published.resolution.clone().map(Arc::unwrap_or_clone));
+    let (clock, saved) = (PhaseClock::default(), Instant::now());
+    let held = Held { map: map.clone(), stated, clock, saved, meter, is_over: false };
+    let observer = IdleObserver { jobs, scene, world, stop, held: Mutex::new(held) };
     // Where it was canceled the last snapshot stands.
     let _ = jobs.config.engine.refine(world, &map, &budget, seed, &observer);
     let mut held = observer.lock();
@@ -113,6 +115,8 @@ fn refine(jobs: &Arc<Jobs>, scene: &Arc<SceneEntry>, spell: Spell, bounds: IdleR
 struct IdleObserver<'a> {
     jobs: &'a Arc<Jobs>,
     scene: &'a Arc<SceneEntry>,
+    /// What is refined is right for it.
+    world: &'a World,
     stop: &'a Stop,
     held: Mutex<Held>,
 }
@@ -123,6 +127,7 @@ struct Held {
     stated: f32,
     clock: PhaseClock,
     saved: Instant,
+    meter: Meter,
     /// Something else has changed the scene's light.
     is_over: bool,
 }
@@ -157,7 +162,11 @@ impl Observer for IdleObserver<'_> {
             return;
         }
         let Some(stated) = better else { return };
-        let lit = Lit { map, estimated_rmse: Some(stated), is_right: true };
+        let seed = mixed(self.jobs.config.seed ^ self.scene.published().version);
+        // What was known stays where it is canceled.
+        let _ = held.meter.measure(self.world, map, progress.rays, seed, self);
+        let resolution = held.meter.error().cloned().map(Arc::new);
+        let lit = Lit { map, estimated_rmse: Some(stated), resolution: resolution.as_ref(), is_right: true };
         let Some(published) = self.scene.refine(&held.map, lit) else {
             held.is_over = true;
             return;

@@ -72,6 +72,9 @@ pub struct JobProgress {
     pub remaining_ms: Option<u64>,
     /// The stated error of the last snapshot.
     pub estimated_rmse: Option<f32>,
+    /// What is known of its error of resolution.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub resolution: Option<f32>,
     /// Rays traced.
     pub rays: u64,
     /// Newest version that the job published.

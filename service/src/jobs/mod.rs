@@ -142,6 +142,8 @@ pub(crate) struct About {
     pub(crate) scene: String,
     /// Up to which of the scene's accepted edits it lights.
     pub(crate) sequence: Sequence,
+    /// The stated error that it works towards.
+    pub(crate) target_rmse: Option<f32>,
 }
 
 /// What belongs to a job beside its place in the queue.
@@ -272,7 +274,8 @@ impl State {
 
     fn handle(&mut self, jobs: &Jobs, scene_id: String, scene: Option<Arc<SceneEntry>>, record: &JobRecord) {
         let events = Arc::new(EventLog::new(jobs.config.limits.events, jobs.ids.first_event));
-        let about = About { scene: scene_id, sequence: record.spec.sequence };
+        let (sequence, target_rmse) = (record.spec.sequence, record.spec.budget.target_rmse);
+        let about = About { scene: scene_id, sequence, target_rmse };
         let handle =
             Handle { about, scene, accepted: Instant::now(), events, stop: Arc::default(), spec: record.spec.clone() };
         self.handles.insert(record.job.number, handle);

@@ -8,9 +8,10 @@ use super::Jobs;
 use super::budget::{JobBudget, Pace, fraction, remaining_ms};
 use super::phases::PhaseClock;
 use super::queue::{JobNumber, JobProgress};
+use super::seeds::mixed;
 use super::stop::{Asked, Stop};
 use crate::cluster::{OpenOffer, Told};
-use crate::engine::{LightMap, NextPart, Observer, Offer, Progress, Snapshot, lengthened};
+use crate::engine::{LightMap, Meter, NextPart, Observer, Offer, Progress, Snapshot, lengthened};
 use crate::store::lighting::{Lit, Sequence};
 use crate::store::scene::SceneEntry;
 
@@ -114,6 +115,8 @@ struct State {
     reported: Option<(Instant, &'static str)>,
     clock: PhaseClock,
     saved: Option<Instant>,
+    /// The error of resolution of the piece's maps.
+    meter: Meter,
 }
 
 impl<'a> JobObserver<'a> {
@@ -145,6 +148,13 @@ impl<'a> JobObserver<'a> {
         self.reached = Mark::default();
         let mut state = self.lock();
         (state.complete, state.pace, state.cut) = (None, Pace::default(), false);
+        state.meter = Meter::default();
+    }
+
+    /// The maps of the piece are those that clients see, more accurate: what is known of these holds for them.
+    pub(crate) fn goes_on(&self) {
+        let known = self.scene.published().resolution.clone();
+        self.lock().meter = Meter::after(known.map(Arc::unwrap_or_clone));
     }
 
     /// The last complete map since [`JobObserver::begin`].
@@ -217,6 +227,7 @@ impl<'a> JobObserver<'a> {
             samples_per_element: progress.samples_per_element,
             elapsed_ms: elapsed.as_millis() as u64,
             estimated_rmse: progress.estimated_rmse,
+            resolution: self.lock().meter.error().and_then(|error| error.all.rmse()),
             rays: progress.rays,
             version,
             remaining_ms: remaining_ms(fraction, elapsed),
@@ -308,6 +319,9 @@ impl Observer for JobObserver<'_> {
             self.lock().complete =
                 Some(Complete { map: map.clone(), samples: progress.samples_per_element, held_back });
             self.reached.raise(if stated.is_some() { Reached::Stated } else { Reached::Complete });
+            if stated.is_some() {
+                self.measure(map, progress.rays);
+            }
         }
         if is_better {
             self.publish(map, snapshot, progress);
@@ -316,6 +330,19 @@ impl Observer for JobObserver<'_> {
 }
 
 impl JobObserver<'_> {
+    /// Measures the error of resolution of a map that states its noise, where clients see its elements.
+    fn measure(&self, map: &LightMap, rays: u64) {
+        let Some(world) = self.scene.shown_world(self.piece.sequence).filter(|world| world.slots() == map.len()) else {
+            return;
+        };
+        let seed = mixed(self.jobs.config.seed ^ self.scene.published().version);
+        // Rays are traced: nobody is to wait for the lock.
+        let mut meter = std::mem::take(&mut self.lock().meter);
+        // What was known stays where it is canceled.
+        let _ = meter.measure(&world, map, rays, seed, self);
+        self.lock().meter = meter;
+    }
+
     /// Publishes a map of this job. Nothing starts from one that is not complete.
     pub(crate) fn publish(&self, map: &Arc<LightMap>, snapshot: Snapshot, progress: &Progress) {
         if snapshot == Snapshot::Estimate {
@@ -326,7 +353,8 @@ impl JobObserver<'_> {
         }
         let is_right = matches!(snapshot, Snapshot::Complete { .. });
         let map = &lengthened(map, self.piece.slots);
-        let lit = Lit { map, estimated_rmse: progress.estimated_rmse, is_right };
+        let resolution = self.lock().meter.error().filter(|_| is_right).cloned().map(Arc::new);
+        let lit = Lit { map, estimated_rmse: progress.estimated_rmse, resolution: resolution.as_ref(), is_right };
         let published = self.scene.snapshot(self.piece.sequence, lit);
         let is_due = {
             let mut state = self.lock();

@@ -26,6 +26,7 @@ impl Jobs {
                 };
                 let Some(handle) = state.handles.get_mut(&number) else { continue };
                 handle.spec.budget = target;
+                handle.about.target_rmse = target.target_rmse;
                 if job.is_running() {
                     handle.stop.ask(Asked::NewerEdit);
                 }

@@ -50,6 +50,7 @@ impl Jobs {
             elements_version: published.elements_version,
             samples_per_element: progress.map(|progress| progress.samples_per_element),
             estimated_rmse: published.estimated_rmse.and_then(types::finite),
+            light_error: published.stated().into(),
         };
         self.metrics.published(published);
         let data = types::to_event_data(&event);

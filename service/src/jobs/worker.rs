@@ -160,6 +160,7 @@ fn refine(
         return done(run);
     }
     observer.begin(Piece { sequence, slots: world.slots(), floor, yields: Yields::AtOnce, before });
+    observer.goes_on();
     let budget = Budget { samples_per_element: left, ..spec.engine_budget() };
     // Runs of one job must not repeat the samples that the map holds: each has a seed of its own.
     let seed = mixed(spec.seed ^ u64::from(before) << 32) ^ scene.published().version;

@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 
 use super::records::LightRecord;
 use super::versions::{Published, Unknown};
-use crate::engine::{Edit, LightMap, Transition, World};
+use crate::engine::{Edit, LightMap, ResolutionError, Transition, World};
 use crate::jobs::budget::JobBudget;
 
 /// Sequence number of an accepted edit request; 0 is the scene as uploaded.
@@ -73,6 +73,8 @@ pub(crate) struct Lighting {
 pub(crate) struct Lit<'a> {
     pub(crate) map: &'a Arc<LightMap>,
     pub(crate) estimated_rmse: Option<f32>,
+    /// What is known of its error of resolution.
+    pub(crate) resolution: Option<&'a Arc<ResolutionError>>,
     /// It is an estimate for its sequence number, and not only carried over.
     pub(crate) is_right: bool,
 }
@@ -208,16 +210,18 @@ impl Lighting {
     /// The next version, which shows a map that is right for `sequence` on the published world.
     pub(crate) fn snapshot(&mut self, published: &Published, sequence: Sequence, lit: Lit<'_>) -> Published {
         let mut map = lit.map.clone();
+        let mut resolution = lit.resolution.cloned();
         let (mut scene, mut unknown) = (None, None);
         for (_, unlit) in self.unlit.range((Excluded(sequence), Included(self.shown_sequence))) {
             map = unlit.transition.carried(&map);
             unknown = unknown_after(&unlit.transition, unknown);
             scene.get_or_insert(&unlit.transition.before.scene);
+            resolution = None;
         }
         // Of the lights that the map is right for: those of later edits are not in it.
         let weights = map.layer_weights(scene.unwrap_or(&published.world.scene));
         self.right_for = lit.is_right.then_some(sequence);
-        published.next(None, map, &weights, lit.estimated_rmse, unknown)
+        published.next(None, map, &weights, lit.estimated_rmse, unknown).with_resolution(resolution)
     }
 
     /// The map, where it is right for all that was accepted and clients see all of that.
@@ -233,7 +237,8 @@ impl Lighting {
         self.lit = Some(lit.map.clone());
         self.right_for = Some(self.shown_sequence);
         let weights = lit.map.layer_weights(&published.world.scene);
-        Some(published.next(None, lit.map.clone(), &weights, lit.estimated_rmse, None))
+        let next = published.next(None, lit.map.clone(), &weights, lit.estimated_rmse, None);
+        Some(next.with_resolution(lit.resolution.cloned()))
     }
 
     /// `map` is right for `sequence`.

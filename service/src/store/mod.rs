@@ -14,6 +14,7 @@ pub(crate) mod history;
 pub(crate) mod keys;
 pub(crate) mod layers;
 pub(crate) mod lighting;
+mod lineage;
 pub(crate) mod probes;
 pub(crate) mod records;
 pub(crate) mod scene;

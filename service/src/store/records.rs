@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::lighting::{Effort, Sequence};
 use super::versions::Lineage;
-use crate::engine::{Density, Focus, Importance, LightMap, TileMode, Tiles};
+use crate::engine::{Density, Focus, Importance, LightMap, MeanSquare, ResolutionError, TileMode, Tiles};
 use crate::jobs::JobSpec;
 use crate::jobs::budget::JobBudget;
 use crate::jobs::queue::{Job, JobNumber, SceneNumber};
@@ -250,6 +250,9 @@ pub(crate) struct LightState {
     /// What the published light is right for, where it is more than carried over.
     pub(crate) right_for: Option<Sequence>,
     pub(crate) estimated_rmse: Option<f32>,
+    /// Not kept by earlier builds.
+    #[serde(default)]
+    pub(crate) resolution: Option<StoredResolution>,
     pub(crate) lineage: Lineage,
     /// Hash of the published world's elements.
     pub(crate) layout: String,
@@ -259,4 +262,27 @@ pub(crate) struct LightState {
     /// What was done towards the scene's target.
     #[serde(default)]
     pub(crate) effort: Effort,
+}
+
+/// What was measured of a map's error of resolution: sums of squares, as the engine has them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct StoredResolution {
+    all: (u32, [f64; 5]),
+    objects: Vec<(u32, [f64; 5])>,
+}
+
+impl StoredResolution {
+    pub(crate) fn new(error: &ResolutionError) -> StoredResolution {
+        let objects = error.objects.iter().map(MeanSquare::sums).collect();
+        StoredResolution { all: error.all.sums(), objects }
+    }
+
+    /// As it was measured; none where it is of so many objects no more.
+    pub(crate) fn of_objects(self, objects: usize) -> Option<ResolutionError> {
+        let sums = Some(self.objects).filter(|sums| sums.len() == objects)?;
+        let objects = sums.into_iter().map(MeanSquare::of_sums).collect();
+        let mut error = ResolutionError::default();
+        (error.all, error.objects) = (MeanSquare::of_sums(self.all), objects);
+        Some(error)
+    }
 }

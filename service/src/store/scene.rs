@@ -362,6 +362,11 @@ impl SceneEntry {
         (work, shown, lighting.floor(&published, shown))
     }
 
+    /// The world of what was accepted up to `sequence`, where clients see that one.
+    pub(crate) fn shown_world(&self, sequence: Sequence) -> Option<World> {
+        (self.lighting().shown() == sequence).then(|| self.published().world.clone())
+    }
+
     /// Publishes a map that is right for `sequence`.
     pub(crate) fn snapshot(&self, sequence: Sequence, lit: Lit<'_>) -> Arc<Published> {
         let mut lighting = self.lighting();

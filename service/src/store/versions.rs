@@ -10,12 +10,14 @@ use std::sync::{Arc, OnceLock};
 use glam::Vec3;
 pub(crate) use rebake_core::LightPart;
 use rebake_core::delta::{Frame, same_bits};
-use serde::{Deserialize, Serialize};
 
 use super::layers::PublishedLayer;
 use super::lighting::Effort;
-use super::records::{LightRecord, LightState};
-use crate::engine::{self, Canceled, LightMap, ObjectSummary, Observer, VALUE_BYTES, World, layout_hash, objects};
+pub(crate) use super::lineage::Lineage;
+use super::records::{LightRecord, LightState, StoredResolution};
+use crate::engine::{
+    self, Canceled, LightMap, ObjectSummary, Observer, ResolutionError, VALUE_BYTES, World, layout_hash, objects,
+};
 use crate::mode::Mode;
 
 /// Versions that are reserved for a scene at once. No version above the reserved ones is ever given, so after a crash
@@ -24,33 +26,6 @@ pub(crate) const RESERVE: u64 = 1_000_000;
 
 /// What a new scene reserves.
 pub(crate) const FIRST_RESERVE: u64 = RESERVE;
-
-/// Which versions led to the present one. Those whose light was lost in a crash did not.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) struct Lineage {
-    /// Versions below are not known any more.
-    oldest: u64,
-    /// The versions strictly between each two are lost.
-    lost: Vec<(u64, u64)>,
-}
-
-impl Lineage {
-    /// Crashes that are remembered one by one.
-    const REMEMBERED: usize = 256;
-
-    /// Whether what changed since `version` can be told.
-    pub(crate) fn knows(&self, version: u64) -> bool {
-        version >= self.oldest && !self.lost.iter().any(|(last, next)| (last + 1..*next).contains(&version))
-    }
-
-    /// The light of the versions strictly between `last` and `next` is lost.
-    pub(crate) fn lose(&mut self, last: u64, next: u64) {
-        self.lost.push((last, next));
-        if self.lost.len() > Lineage::REMEMBERED {
-            self.oldest = self.lost.remove(0).1;
-        }
-    }
-}
 
 /// What clients get of a light map, or of one of its layers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,6 +50,15 @@ impl Wanted {
 /// Per slot: whether nothing is known of the light that it has. None where there is no such slot.
 pub(crate) type Unknown = Option<Arc<[bool]>>;
 
+/// Errors of light: irradiance / π, mean over RGB. None: not known.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Stated {
+    /// Of chance.
+    pub(crate) noise: Option<f32>,
+    /// Of the distance between elements.
+    pub(crate) resolution: Option<f32>,
+}
+
 /// A light map with the world it belongs to. Everything that a client sees of one version comes from one of these.
 pub(crate) struct Published {
     /// Grows by one with every publication.
@@ -87,6 +71,10 @@ pub(crate) struct Published {
     objects: Arc<OnceLock<Vec<ObjectSummary>>>,
     /// Stated error: area-weighted RMSE, where it is known. Light that was carried over keeps the old one.
     pub(crate) estimated_rmse: Option<f32>,
+    /// Its error of resolution as far as it was measured; of light that was carried over nothing is known.
+    pub(crate) resolution: Option<Arc<ResolutionError>>,
+    /// Stated error of each object, in the order of the world; worked out when a client first asks.
+    noise_of_objects: OnceLock<Vec<Option<f32>>>,
     /// Elements that came, or moved, after the light was computed.
     unknown: Unknown,
     mode: Mode,
@@ -112,6 +100,8 @@ impl Published {
             map: Arc::new(LightMap::black(slots)),
             objects: Arc::default(),
             estimated_rmse: None,
+            resolution: None,
+            noise_of_objects: OnceLock::new(),
             unknown: None,
             mode,
             delivered: vec![Vec3::ZERO; slots],
@@ -131,7 +121,7 @@ impl Published {
     /// What was saved, in a new life. `reserved`: no version above it was ever given.
     pub(crate) fn restored(world: World, mode: Mode, light: LightRecord, unknown: Unknown, reserved: u64) -> Published {
         let LightRecord { about: state, map, changed, .. } = light;
-        let LightState { mut version, elements_version, estimated_rmse, mut lineage, weights, .. } = state;
+        let LightState { mut version, elements_version, estimated_rmse, resolution, mut lineage, weights, .. } = state;
         if reserved > version {
             // Clients may have versions that are lost. Where their version is not a part of what led to the new one,
             // they get everything.
@@ -139,6 +129,7 @@ impl Published {
             version = reserved + 1;
         }
         let weights: Vec<Vec3> = weights.iter().map(|bits| Vec3::from(bits.map(f32::from_bits))).collect();
+        let objects_of_world = world.scene.objects.len();
         Published {
             version,
             elements_version,
@@ -146,6 +137,8 @@ impl Published {
             world,
             objects: Arc::default(),
             estimated_rmse,
+            resolution: resolution.and_then(|kept| kept.of_objects(objects_of_world)).map(Arc::new),
+            noise_of_objects: OnceLock::new(),
             unknown,
             mode,
             layers: PublishedLayer::first(&map, &weights, version),
@@ -174,6 +167,7 @@ impl Published {
             shown,
             right_for,
             estimated_rmse: self.estimated_rmse,
+            resolution: self.resolution.as_deref().map(StoredResolution::new),
             lineage: (*self.lineage).clone(),
             layout: layout_hash(&self.world),
             effort: Effort::default(),
@@ -182,7 +176,7 @@ impl Published {
     }
 
     /// The version after this one. `world` is given where it changed, `weights` are those of the map's layers, `unknown`
-    /// tells elements whose light is none of theirs.
+    /// tells elements whose light is none of theirs. Nothing is known of its error of resolution.
     pub(crate) fn next(
         &self,
         world: Option<World>,
@@ -209,6 +203,8 @@ impl Published {
             map,
             objects,
             estimated_rmse,
+            resolution: None,
+            noise_of_objects: OnceLock::new(),
             unknown,
             mode: self.mode,
             changed: Arc::default(),
@@ -217,6 +213,11 @@ impl Published {
         };
         next.changed = self.changed_to(&next);
         next
+    }
+
+    /// This version, of which so much is known.
+    pub(crate) fn with_resolution(self, resolution: Option<Arc<ResolutionError>>) -> Published {
+        Published { resolution, ..self }
     }
 
     /// Per slot of a later version: the version that last changed its value.
@@ -237,7 +238,7 @@ impl Published {
             None => self.map.clone(),
         };
         let (version, part, weights) = (self.version, self.mode.part(), self.weights());
-        let oldest = last.map_or(version, |last| last.lineage.oldest).max(self.lineage.oldest);
+        let oldest = last.map_or(version, |last| last.lineage.oldest());
         let layers = last.map_or(&[][..], |last| &last.layers);
         let mut next = Published {
             version,
@@ -247,10 +248,12 @@ impl Published {
             world: self.world.clone(),
             objects: self.objects.clone(),
             estimated_rmse: self.estimated_rmse.map(|_| map.estimated_rmse(self.world.areas())),
+            resolution: self.resolution.clone(),
+            noise_of_objects: OnceLock::new(),
             unknown: self.unknown.clone(),
             mode: self.mode,
             changed: vec![version; map.len()].into(),
-            lineage: Arc::new(Lineage { oldest, ..(*self.lineage).clone() }),
+            lineage: Arc::new(self.lineage.since(oldest)),
             is_filtered: true,
             map,
         };
@@ -308,6 +311,26 @@ impl Published {
         self.estimated_rmse.is_some() && self.unknown.is_none()
     }
 
+    /// What is stated of the light: its noise, and its error of resolution as far as it was measured.
+    pub(crate) fn stated(&self) -> Stated {
+        let resolution = self.resolution.as_ref().and_then(|error| error.all.rmse());
+        self.stated_where_known(self.estimated_rmse, resolution)
+    }
+
+    /// What is stated of the light of each object, in the order of the world.
+    pub(crate) fn stated_of_objects(&self) -> impl Iterator<Item = Stated> + '_ {
+        let noise = self.noise_of_objects.get_or_init(|| engine::noise_of_objects(&self.world, &self.map));
+        let of = |object: usize| self.resolution.as_ref().and_then(|error| error.objects.get(object)?.rmse());
+        noise.iter().enumerate().map(move |(object, noise)| self.stated_where_known(*noise, of(object)))
+    }
+
+    fn stated_where_known(&self, noise: Option<f32>, resolution: Option<f32>) -> Stated {
+        match self.is_known() {
+            true => Stated { noise, resolution },
+            false => Stated::default(),
+        }
+    }
+
     /// Infinite where nothing is known: an estimate, or an element that was inserted after the light was computed.
     fn errors(&self, variance: &[f32]) -> Vec<Vec3> {
         self.world.standard_errors(variance, |slot| self.estimated_rmse.is_some() && self.is_known_at(slot))
@@ -350,23 +373,5 @@ impl Published {
     /// Bytes of the layers.
     pub(crate) fn layer_bytes(&self) -> usize {
         self.layers.iter().map(PublishedLayer::memory_bytes).sum()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn lost_versions_are_not_known() {
-        let mut lineage = Lineage::default();
-        assert!(lineage.knows(0) && lineage.knows(7));
-        lineage.lose(7, 1_000_001);
-        assert!(lineage.knows(7) && !lineage.knows(8) && !lineage.knows(1_000_000) && lineage.knows(1_000_001));
-        for life in 1..=Lineage::REMEMBERED as u64 {
-            lineage.lose(life * 1_000_000 + 5, (life + 1) * 1_000_000 + 1);
-        }
-        assert!(!lineage.knows(7) && !lineage.knows(8), "too long ago");
-        assert!(lineage.knows(1_000_001) && !lineage.knows(1_000_006) && lineage.knows(2_000_001));
     }
 }

@@ -81,9 +81,11 @@ pub(in super::super) async fn info(args: InfoArgs) -> anyhow::Result<()> {
     let object = |object: &Value| {
         let elements = object["elements"]["count"].as_u64().map_or_else(none, ui::count);
         let hidden = if object["hidden"] == true { "hidden" } else { "" };
-        [text(&object["name"]), elements, rgb(&object["albedo"]), hidden.to_owned()]
+        let [noise, resolution] =
+            ["noise", "resolution"].map(|kind| object["light_error"][kind].as_f64().map_or_else(none, ui::rmse));
+        [text(&object["name"]), elements, noise, resolution, rgb(&object["albedo"]), hidden.to_owned()]
     };
-    section(objects, ["object", "elements", "albedo", ""], object)?;
+    section(objects, ["object", "elements", "noise", "resolution", "albedo", ""], object)?;
     let light = |light: &Value| {
         let intensity = light["intensity"].as_f64().map_or_else(none, ui::number);
         [text(&light["name"]), text(&light["kind"]), rgb(&light["color"]), intensity]
@@ -98,14 +100,12 @@ pub(in super::super) async fn info(args: InfoArgs) -> anyhow::Result<()> {
 /// One line each, of what there is to say.
 fn facts(scene: &Value) -> Vec<(&'static str, String)> {
     let count = |name: &str| scene[name].as_u64().map_or_else(none, ui::count);
-    let rmse = scene["estimated_rmse"].as_f64().map_or_else(none, ui::rmse);
+    let stated = |kind: &str| scene["light_error"][kind].as_f64().map_or_else(none, ui::rmse);
     let mut facts = vec![
         ("scene", text(&scene["id"])),
         ("name", text(&scene["name"])),
-        (
-            "light map",
-            format!("version {}, {} light, stated error {rmse}", text(&scene["version"]), text(&scene["mode"])),
-        ),
+        ("light map", format!("version {}, {} light", text(&scene["version"]), text(&scene["mode"]))),
+        ("stated error", format!("noise {}, resolution {}", stated("noise"), stated("resolution"))),
         ("elements", count("elements")),
         ("triangles", count("triangles")),
         ("spacing", scene["spacing"].as_f64().map_or_else(none, |metres| format!("{} m", ui::number(metres)))),

@@ -115,6 +115,9 @@ fn describe(job: &Job) -> String {
     if let Some(rmse) = progress.estimated_rmse {
         parts.push(format!("error {}", ui::rmse(rmse)));
     }
+    if let Some(rmse) = progress.light_error.resolution {
+        parts.push(format!("of resolution {}", ui::rmse(rmse)));
+    }
     parts.join(", ")
 }
 
@@ -126,4 +129,5 @@ fn note_done(job: &Job) {
     let result = describe(&result);
     let result = if result.is_empty() { result } else { format!(": {result}") };
     ui::note(&format!("{} done{}{result}", job.kind, seconds.unwrap_or_default()));
+    job.warnings.iter().for_each(|warning| ui::note(&format!("warning: {warning}")));
 }

@@ -42,6 +42,16 @@ class ElementRange:
 
 
 @dataclass(frozen=True)
+class LightError:
+    """Errors of light, irradiance / π; none where nothing is known."""
+
+    #: Of chance: it falls with samples.
+    noise: float | None = None
+    #: Of the distance between elements: it falls with that, and with nothing else.
+    resolution: float | None = None
+
+
+@dataclass(frozen=True)
 class SceneObject:
     """An object: a node with a mesh, the unit of an edit."""
 
@@ -56,6 +66,8 @@ class SceneObject:
     #: Object space to world space, column-major.
     transform: tuple[float, ...]
     hidden: bool
+    #: Errors of its light.
+    light_error: LightError = LightError()
     #: Index of the node in the uploaded file.
     node: int | None = None
     #: `extras.id` of the node, where the file has one.
@@ -153,6 +165,8 @@ class SceneInfo:
     texels_per_metre: float | None = None
     #: Stated error: area-weighted RMSE of the light map, irradiance / π.
     estimated_rmse: float | None = None
+    #: Its errors, each: of chance, and of the distance between elements.
+    light_error: LightError = LightError()
     target: Budget | None = None
     current_job: str | None = None
     error: str | None = None
@@ -213,6 +227,7 @@ class JobProgress:
     #: To the end of the budget at the pace so far; none while nothing is measured.
     remaining_ms: int | None = None
     estimated_rmse: float | None = None
+    light_error: LightError = LightError()
     version: int | None = None
 
 
@@ -237,6 +252,8 @@ class JobInfo:
     finished_at: str | None = None
     merged_into: str | None = None
     error: str | None = None
+    #: What to know of how it ended.
+    warnings: tuple[str, ...] = ()
 
     @property
     def has_ended(self) -> bool:
