@@ -63,7 +63,7 @@ pub use importance::{Importance, TileMode, Tiles};
 pub use job::{Budget, Canceled, NextPart, Observer, Offer, Pass, Progress, Snapshot, Unobserved};
 pub use lightmap::{LayerHeader, LightMap, LightPart, LightValues};
 pub use refine::refine;
-pub use space::{Density, Footprint, NO_OBJECT, Placement, object_areas};
+pub use space::{Density, Footprint, LAYOUT_VERSION, NO_OBJECT, Placement, object_areas};
 pub use update::update;
 pub use world::{
     Emitter, LightInfo, LightSample, ObjectInfo, Placed, Stated, Transition, Trees, Validity, World, WorldError,

@@ -9,6 +9,7 @@ use std::fmt::Debug;
 use std::sync::Arc;
 
 use glam::{DMat4, DVec3, Vec3};
+pub(crate) use rebake_core::LAYOUT_VERSION;
 use rebake_core::allowed::check_spacing;
 pub(crate) use rebake_core::atlas::{Atlas, AtlasError, AtlasOptions};
 pub(crate) use rebake_core::export::{LightAbout, Originals};

@@ -26,7 +26,7 @@ use crate::store::disk::{Disk, Saved, SavedEdit, SavedScene};
 use crate::store::history::History;
 use crate::store::keys::IdempotencyKeys;
 use crate::store::lighting::{Lighting, unknown_of_saved};
-use crate::store::records::{Origin, SceneRecord, StoredAtlas, StoredOutside};
+use crate::store::records::{LightRecord, Origin, SceneRecord, StoredAtlas, StoredOutside};
 use crate::store::scene::{Head, NewScene, SceneEntry, SceneState};
 use crate::store::versions::{Published, RESERVE};
 use crate::unit::LightUnit;
@@ -120,9 +120,16 @@ fn rebuild(app: &App, disk: &Disk, saved: &SavedScene) -> Result<(SceneEntry, bo
     let uploaded = build(&app.assets, &disk.upload_of(saved)?, &record)?;
     // Whatever is wrong with the light can be baked again.
     let light = disk.light(saved);
+    let other_layout = light.as_ref().ok().and_then(Option::as_ref).and_then(of_other_layout);
+    let light = if other_layout.is_some() { Ok(None) } else { light };
     let light_to_fit = light.as_ref().ok().and_then(Option::as_ref);
     let mut replayed = replay(&app.assets, uploaded, &saved.edits, light_to_fit)?;
     replayed.world = engine::limited(replayed.world, &app.config.limits);
+    if let Some(warning) = &other_layout {
+        tracing::warn!(scene = app.ids.scene(saved.number), warning, "baked anew");
+        let warnings = [&replayed.world.scene.warnings[..], std::slice::from_ref(warning)].concat();
+        replayed.world = engine::warned(replayed.world, &warnings);
+    }
     let (world, sequence) = (replayed.world.clone(), replayed.sequence);
     let mut history = std::mem::replace(&mut replayed.history, History::new(0));
     history.limit(app.config.limits.undo_steps);
@@ -147,9 +154,21 @@ fn rebuild(app: &App, disk: &Disk, saved: &SavedScene) -> Result<(SceneEntry, bo
     };
     let reserved = published.version + RESERVE;
     app.store.versions_reserved(saved.number, reserved)?;
-    let is_unbaked = error.is_some();
+    let is_unbaked = error.is_some() || other_layout.is_some();
     let new = describe(app, saved, record, reserved, error);
     Ok((SceneEntry::with(new, head, lighting, published, &app.config.limits), is_unbaked))
+}
+
+/// What to tell of light whose elements are laid out as another version of this program does it: it is none of these
+/// elements, and is baked anew.
+fn of_other_layout(light: &LightRecord) -> Option<String> {
+    let (version, own) = (light.about.layout_version, engine::LAYOUT_VERSION);
+    (version != own).then(|| {
+        format!(
+            "its light was kept by version {version} of the layout of elements, this program has version {own}: it \
+             is baked anew"
+        )
+    })
 }
 
 /// Notes which assets the scene's history needs, whatever else is wrong with it.

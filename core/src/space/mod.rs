@@ -43,6 +43,10 @@ use crate::bits::Bits;
 use crate::bvh::Hit;
 use crate::surface::Surface;
 
+/// How surfaces are divided into elements: raised whenever the same scene is divided in another way, so that light maps
+/// that were kept are never read for elements that they are not of.
+pub const LAYOUT_VERSION: u32 = 1;
+
 /// All elements of a world and the way from triangles to them. Cheap to clone: an edit copies what it changes.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Space {

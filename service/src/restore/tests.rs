@@ -2,14 +2,24 @@ use glam::Vec3;
 use rebake_core::export::write_scene_glb;
 use rebake_core::scene::{Material, Mesh, Object, Scene};
 use rusqlite::Connection;
+use tempfile::TempDir;
 
 use super::*;
 use crate::config::Config;
+use crate::engine::LightMap;
 use crate::store::Store;
 use crate::store::faults::Faults;
+use crate::store::lighting::{Lit, Samples};
 
 /// Scenes 1, 2 and 3 with a plate each, and what `break_it` does to the database.
 fn restored(break_it: &str) -> Arc<App> {
+    let directory = with_plates();
+    change(&directory, break_it);
+    opened(&directory)
+}
+
+/// A data directory with scenes 1, 2 and 3 of a plate each.
+fn with_plates() -> TempDir {
     let directory = tempfile::tempdir().unwrap();
     let plate = Mesh::quad(Vec3::ZERO, Vec3::X, Vec3::Z);
     let scene = Scene::from_objects(vec![Object::new("plate", plate, Material::diffuse(Vec3::splat(0.5)))]);
@@ -35,7 +45,14 @@ fn restored(break_it: &str) -> Arc<App> {
         disk.scene_created(number, &record, &glb, None).unwrap();
     }
     disk.close();
-    Connection::open(directory.path().join("rebake.db")).unwrap().execute_batch(break_it).unwrap();
+    directory
+}
+
+fn change(directory: &TempDir, sql: &str) {
+    Connection::open(directory.path().join("rebake.db")).unwrap().execute_batch(sql).unwrap();
+}
+
+fn opened(directory: &TempDir) -> Arc<App> {
     let config = Config { data_dir: Some(directory.path().to_owned()), threads: 1, ..Config::default() };
     let (app, saved) = App::new(config).unwrap();
     let (disk, saved) = saved.expect("a data directory");
@@ -73,6 +90,54 @@ fn a_bad_row_of_any_table_leaves_all_other_scenes_served() {
         // A bake that is queued anew may have ended by now, and with it the error.
         let is_baked = expected == told && found == whole;
         assert!(found == expected || is_baked, "{break_it}: {found:?}");
+        app.jobs.close();
+    }
+}
+
+/// A data directory with [`with_plates`] of which the second has a light map; its version, and the map.
+fn with_light() -> (TempDir, u64, Arc<LightMap>) {
+    let directory = with_plates();
+    let app = opened(&directory);
+    let scene = app.scenes.get(2).unwrap();
+    let mut map = LightMap::black(scene.published().world.slots());
+    map.light.direct.fill(Vec3::splat(2.0));
+    let map = Arc::new(map);
+    let lit = Lit { map: &map, estimated_rmse: Some(0.1), resolution: None, is_right: true };
+    let version = scene.snapshot(0, lit).version;
+    scene.set_lit(0, map.clone(), Samples::Fresh(4));
+    app.store.light_saved(2, &scene.light_record()).unwrap();
+    app.jobs.close();
+    app.store.close();
+    (directory, version, map)
+}
+
+/// Light that another version of the layout has kept is for other elements, even where these are as many: the scene is
+/// there with all else, without it, and is baked anew. Records without a version are of the first.
+#[test]
+fn light_of_another_layout_is_baked_anew_and_never_read() {
+    for (about, is_read) in [
+        ("json_remove(about, '$.layout_version')", true),
+        ("json_set(about, '$.layout_version', 1)", true),
+        ("json_set(about, '$.layout_version', 0)", false),
+        ("json_set(about, '$.layout_version', 77)", false),
+    ] {
+        let (directory, kept, map) = with_light();
+        change(&directory, &format!("UPDATE light SET about = {about}"));
+        let app = opened(&directory);
+        let scene = app.scenes.get(2).unwrap();
+        assert!(scene.error().is_none() && !scene.is_damaged(), "{about}");
+        let published = scene.published();
+        let warnings = &published.world.scene.warnings;
+        let is_told = warnings.iter().any(|warning| warning.contains("layout") && warning.contains("baked anew"));
+        assert_eq!(is_told, !is_read, "{about}: {warnings:?}");
+        let jobs = app.jobs.older_than(u64::MAX, 9, |job, _| job.scene == 2);
+        assert_eq!(jobs.len(), usize::from(!is_read), "{about}");
+        assert!(published.version > kept, "{about}");
+        match is_read {
+            true => assert!(*published.map == *map, "{about}"),
+            // A bake may have ended by now, and what it has is its own: no lamp shines.
+            false => assert!(published.map.light.direct.iter().all(|light| *light == Vec3::ZERO), "{about}"),
+        }
         app.jobs.close();
     }
 }

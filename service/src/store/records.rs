@@ -240,6 +240,11 @@ pub(crate) struct LightRecord {
     pub(crate) lit: Option<(Sequence, Arc<LightMap>)>,
 }
 
+/// Of light that was kept before layouts had versions.
+fn first_layout_version() -> u32 {
+    1
+}
+
 /// What is kept beside the maps.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct LightState {
@@ -256,6 +261,9 @@ pub(crate) struct LightState {
     pub(crate) lineage: Lineage,
     /// Hash of the published world's elements.
     pub(crate) layout: String,
+    /// By which version of the layout they are laid out.
+    #[serde(default = "first_layout_version")]
+    pub(crate) layout_version: u32,
     /// What the layers of the published map count in it: bits of RGB, since JSON knows neither infinity nor NaN.
     #[serde(default)]
     pub(crate) weights: Vec<[u32; 3]>,

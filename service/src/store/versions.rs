@@ -170,6 +170,7 @@ impl Published {
             resolution: self.resolution.as_deref().map(StoredResolution::new),
             lineage: (*self.lineage).clone(),
             layout: layout_hash(&self.world),
+            layout_version: engine::LAYOUT_VERSION,
             effort: Effort::default(),
             weights: self.layers.iter().map(|layer| layer.weight.to_array().map(f32::to_bits)).collect(),
         }
