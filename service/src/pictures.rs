@@ -42,6 +42,8 @@ pub enum PictureView {
     Indirect,
     /// The light map: irradiance / π, without albedo.
     Lightmap,
+    /// The light map with lines between its elements.
+    Elements,
     /// How the light map changed since a version: blue is less, red more.
     Change,
     /// The stated error of every element.
@@ -157,6 +159,7 @@ pub fn draw(
         PictureView::Direct => View::Direct,
         PictureView::Indirect => View::Indirect,
         PictureView::Lightmap => View::LightMap,
+        PictureView::Elements => View::Elements,
         PictureView::Change => {
             let change = match before {
                 Some(before) => change_since(before, now),

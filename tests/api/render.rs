@@ -81,7 +81,15 @@ async fn pictures_say_how_they_were_made_and_repeat() {
         let same = server.get(&format!("{path}?width=64&height=48&spp=2&{query}")).await;
         assert!(same.body == first.body, "{query}");
     }
-    for query in ["seed=1", "tone=neutral", "tone=linear", "exposure=-3", "view=error", "eye=2,1,1&target=2,1,3"] {
+    for query in [
+        "seed=1",
+        "tone=neutral",
+        "tone=linear",
+        "exposure=-3",
+        "view=error",
+        "view=elements",
+        "eye=2,1,1&target=2,1,3",
+    ] {
         let other = server.get(&format!("{path}?width=64&height=48&spp=2&{query}")).await;
         assert_eq!(other.status, 200, "{query}");
         assert!(other.body != first.body, "{query}");

@@ -26,7 +26,7 @@ export class Views {
 
   /** Whether the view shows a picture that the service makes. */
   get isPicture(): boolean {
-    return this.current === 'picture' || this.current === 'error';
+    return ['picture', 'elements', 'error'].includes(this.current);
   }
 
   /** Whether the view shows the map itself. */
@@ -87,7 +87,7 @@ export class Views {
     this.stage.exposure = this.exposure;
     $<HTMLInputElement>('exposure').value = String(this.exposure);
     $('stops').textContent = this.exposure.toFixed(1);
-    if (this.current === 'picture' && this.scene()) this.refresh();
+    if (this.isPicture && this.current !== 'error' && this.scene()) this.refresh();
   }
 
   split(on: boolean): void {
@@ -114,7 +114,7 @@ export class Views {
     const mine = (this.picture = new AbortController());
     try {
       // A stated error has no noise; light has, and gets better while one looks.
-      const [kind, spp] = this.current === 'error' ? ['error', 4] as const : ['full', 16] as const;
+      const [kind, spp] = this.current === 'picture' ? ['full', 16] as const : [this.current, 4] as const;
       const better = pictures(this.scene()!.id, kind, this.stage.view(), this.exposure, spp, mine.signal);
       for await (const { blob, samples } of better) {
         if (this.picture !== mine) return;

@@ -55,6 +55,10 @@ export async function checkLight({ page, room, objectName, check, shot, state, c
   await page.selectOption('#view', 'error');
   await page.locator('#picture').waitFor({ state: 'visible' });
   await shot('6-error');
+  const errors = await page.locator('#picture').getAttribute('src');
+  await page.selectOption('#view', 'elements');
+  await page.waitForFunction((errors) => !document.getElementById('picture').hidden && document.getElementById('picture').src !== errors, errors);
+  await shot('6a-elements');
   // The service's own picture: there at once, and better after that.
   await page.selectOption('#view', 'picture');
   await page.waitForFunction(() => document.getElementById('picture').dataset.samples === '16');

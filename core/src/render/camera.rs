@@ -102,6 +102,11 @@ impl Rays {
         }
     }
 
+    /// Angle that a pixel in the middle takes up.
+    pub(super) fn pixel(&self) -> f32 {
+        self.step_y.length()
+    }
+
     /// The ray through a point of a pixel; `[0.5, 0.5]` is its centre.
     pub(super) fn through(&self, x: usize, y: usize, [u, v]: [f32; 2]) -> Ray {
         let direction = self.corner + self.step_x * (x as f32 + u) + self.step_y * (y as f32 + v);

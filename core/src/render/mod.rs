@@ -6,6 +6,7 @@
 //! looks the second up. The same inputs and seed give the same bits on any number of threads.
 
 mod camera;
+mod lines;
 mod palette;
 mod read;
 mod shade;
@@ -58,6 +59,8 @@ pub enum View {
     Indirect,
     /// The light map alone, as it is stored: irradiance / π, direct + indirect, without albedo.
     LightMap,
+    /// [`View::LightMap`] with lines between neighbouring elements.
+    Elements,
 }
 
 /// A rectangle of linear RGB (Rec. 709 primaries), row by row from the top.
@@ -91,7 +94,7 @@ pub fn render(
 ) -> Result<Picture, Canceled> {
     assert_eq!(map.len(), world.slots(), "a light map has one value per slot");
     let rays = Rays::new(world, viewpoint, options.width, options.height);
-    let shading = Shading::new(world, map, view);
+    let shading = Shading::new(world, map, view, rays.pixel());
     let pixels = tiles(options, observer, |x, y| shading.pixel(&rays, x, y, options))?;
     Ok(Picture { width: options.width, height: options.height, pixels })
 }

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use glam::Vec3;
 
 use super::camera::Rays;
+use super::lines::Lines;
 use super::{RenderOptions, View};
 use crate::bvh::{Hit, Ray};
 use crate::lightmap::{LightMap, LightPart};
@@ -37,6 +38,8 @@ pub(super) struct Shading<'a> {
     totals: Vec<Vec3>,
     /// Indirect light, as it is delivered; empty where no view needs it.
     indirect: Vec<Vec3>,
+    /// Between elements, where these are shown.
+    lines: Option<Lines>,
 }
 
 /// An emissive texture where it is shown.
@@ -47,11 +50,12 @@ struct Picture<'a> {
 }
 
 impl<'a> Shading<'a> {
-    pub(super) fn new(world: &'a World, map: &LightMap, view: View) -> Shading<'a> {
+    pub(super) fn new(world: &'a World, map: &LightMap, view: View, pixel: f32) -> Shading<'a> {
         let part = |part| if view == View::Direct { Vec::new() } else { world.delivered(map, part) };
         let (totals, indirect) = (part(LightPart::Full), part(LightPart::Indirect));
         let (emission, pictures) = emission_of_parts(world);
-        Shading { world, view, emission, pictures, totals, indirect }
+        let lines = (view == View::Elements).then(|| Lines::new(world, &totals, pixel));
+        Shading { world, view, emission, pictures, totals, indirect, lines }
     }
 
     /// Mean radiance of a pixel.
@@ -77,7 +81,7 @@ impl<'a> Shading<'a> {
             let Some((there, hit)) = first_front(self.world, ray) else {
                 let sky = match self.view {
                     View::Full | View::Direct => self.world.emitters.background(ray.direction),
-                    View::Indirect | View::LightMap => Vec3::ZERO,
+                    View::Indirect | View::LightMap | View::Elements => Vec3::ZERO,
                 };
                 return sum + left * sky;
             };
@@ -110,8 +114,10 @@ impl<'a> Shading<'a> {
             }
             View::Direct => (emission, surfel.albedo * self.direct(&surfel, k, sequences, rng)),
             View::Indirect => (Vec3::ZERO, surfel.albedo * self.indirect(&surfel, rng)),
-            View::LightMap => {
-                (Vec3::ZERO, surfel.footprint.map_or(Vec3::ZERO, |footprint| footprint.interpolate(&self.totals)))
+            View::LightMap | View::Elements => {
+                let Some(footprint) = surfel.footprint else { return (Vec3::ZERO, Vec3::ZERO) };
+                let light = footprint.interpolate(&self.totals);
+                (Vec3::ZERO, self.lines.as_ref().map_or(light, |lines| lines.over(light, self.world, &footprint, ray)))
             }
         }
     }

@@ -341,3 +341,39 @@ fn pictures_look_up_the_slots_that_are_said_to_be_visible_and_no_others() {
     map.light.indirect[visible[visible.len() / 2] as usize] = Vec3::splat(1e9);
     assert!(before[0] != shot(&world, &map, View::Indirect, &options));
 }
+
+/// A map that is 2 everywhere, seen from straight above: lines are where cells have their edges, and nowhere else.
+#[test]
+fn lines_lie_between_elements() {
+    let world = world(vec![floor_at(0.0)], vec![]);
+    let mut map = LightMap::black(world.slots());
+    map.light.direct.fill(Vec3::splat(2.0));
+    let options = options(140, 100, 1);
+    let (plain, drawn) = (shot(&world, &map, View::LightMap, &options), shot(&world, &map, View::Elements, &options));
+    let placed = &world.placed[0];
+    let edges: Vec<[Vec3; 2]> = placed
+        .layout
+        .of_cells(&placed.surface, |patch| Some(patch.corners))
+        .into_iter()
+        .flat_map(|[a, b, c]| [[a, b], [b, c], [c, a]])
+        .collect();
+    let pixel = 2.0 * 3.0 * (0.8f32 / 2.0).tan() / 100.0;
+    let apart = |p: Vec3, [a, b]: [Vec3; 2]| {
+        let t = ((p - a).dot(b - a) / (b - a).length_squared()).clamp(0.0, 1.0);
+        p.distance(a.lerp(b, t)) / pixel
+    };
+    let (mut lines, mut clear) = (0, 0);
+    for (i, color) in drawn.pixels.iter().enumerate() {
+        assert_close(plain.pixels[i], Vec3::splat(2.0), 1e-5);
+        let point = floor_point(i % 140, i / 140, &options);
+        let nearest = edges.iter().map(|edge| apart(point, *edge)).fold(f32::INFINITY, f32::min);
+        if nearest < 0.5 {
+            assert!(color.max_element() < 1.9, "{color} at {nearest} pixels");
+            lines += 1;
+        } else if nearest > 1.0 {
+            assert_close(*color, Vec3::splat(2.0), 1e-5);
+            clear += 1;
+        }
+    }
+    assert!(lines > 1000 && clear > 1000, "{lines} {clear}");
+}

@@ -65,7 +65,7 @@ pub(super) struct RenderArgs {
 #[derive(Debug, clap::Args)]
 struct Look {
     /// What to show
-    #[arg(long, default_value = "full", value_parser = ["full", "direct", "indirect", "lightmap", "change", "error"])]
+    #[arg(long, default_value = "full", value_parser = ["full", "direct", "indirect", "lightmap", "elements", "change", "error"])]
     view: String,
     /// Index or name of a camera of the file [default: the first]
     #[arg(long, conflicts_with_all = ["eye", "target"])]
