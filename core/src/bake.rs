@@ -174,7 +174,7 @@ impl<V: Value> Estimator<V> for BakeRounds<'_, V> {
         let known = match known {
             Some(prior) => prior.with_effort(Effort::default()),
             None => {
-                (round.begin)(Pass::Direct, 0.0);
+                (round.begin)(Pass::Direct, 0.0..0.1);
                 let (prior, direct) = self.baker.first_prior(self.work)?;
                 self.show.map(|show| show(direct, round)).transpose()?;
                 prior
@@ -255,10 +255,10 @@ impl Baker {
         let world = &self.world;
         out.blacken(world.slots());
         let LightValues { direct, indirect, .. } = out;
-        (round.begin)(Pass::Direct, 0.0);
+        (round.begin)(Pass::Direct, 0.0..0.25);
         work.add(&self.slots, direct, direct_at(world, round.samples, effort, round.part_seed()))?;
         world.validity.fill(direct);
-        (round.begin)(Pass::Propagation, 0.25);
+        (round.begin)(Pass::Propagation, 0.25..0.4);
         // Each round solves anew, from its own direct light: rounds stay independent, so that their scatter is the
         // error of their mean, and since all is linear the mean is the solution of the mean direct light.
         let (exchange, bounces) = self.solve(direct, hint, round, work)?;
@@ -266,7 +266,7 @@ impl Baker {
         let total: Vec<V> = sum.map(|(d, b)| *d + *b).collect();
         let field = Field { total: &total, direct, rough: &hint.rough };
         let source = field.source(world, hint.spots.as_ref());
-        (round.begin)(Pass::FinalGather, 0.4);
+        (round.begin)(Pass::FinalGather, 0.4..1.0);
         work.add(wanted, indirect, gathered(world, &source, round.samples, effort, round.part_seed()))?;
         drop(source);
         // The gather is better than the solution that it looked up: at all elements, not on a subset. What it found

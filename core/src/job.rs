@@ -53,6 +53,8 @@ pub struct Progress {
     pub round_samples: u32,
     /// Part of the running round that is done, 0..=1.
     pub round_fraction: f32,
+    /// Part of it that the pass takes which runs, roughly.
+    pub pass_share: f32,
     /// Rays traced so far.
     pub rays: u64,
     /// Estimated area-weighted RMSE of the last snapshot, where there is one.
@@ -62,12 +64,20 @@ pub struct Progress {
 impl Progress {
     /// Of work that has just begun with a pass.
     pub(crate) fn nothing(pass: Pass) -> Progress {
-        Progress { pass, samples_per_element: 0, round_samples: 0, round_fraction: 0.0, rays: 0, estimated_rmse: None }
+        Progress { round_fraction: 0.0, ..Progress::at_once(pass, 0, None) }
     }
 
     /// Of a map that is there at once, without a round of samples.
     pub fn at_once(pass: Pass, samples_per_element: u32, estimated_rmse: Option<f32>) -> Progress {
-        Progress { pass, samples_per_element, round_samples: 0, round_fraction: 1.0, rays: 0, estimated_rmse }
+        Progress {
+            pass,
+            samples_per_element,
+            round_samples: 0,
+            round_fraction: 1.0,
+            pass_share: 0.0,
+            rays: 0,
+            estimated_rmse,
+        }
     }
 }
 
@@ -111,7 +121,8 @@ pub enum NextPart {
     Take(Estimate),
 }
 
-/// The caller's side of a running job. Called from the thread that runs the job, [`Observer::canceled`] from all.
+/// The caller's side of a running job. Called from the thread that runs the job, [`Observer::canceled`] and
+/// [`Observer::advanced`] from all.
 pub trait Observer: Sync {
     /// Asked at every tile: true ends the work with [`Canceled`].
     fn canceled(&self) -> bool {
@@ -120,6 +131,10 @@ pub trait Observer: Sync {
 
     /// Where the work stands; called at least at every pass, and cheap to ignore.
     fn progress(&self, _progress: &Progress) {}
+
+    /// A loop of the pass that runs has come so far, 0..=1; a pass of several loops begins anew with each. Called from all
+    /// threads, at every tile.
+    fn advanced(&self, _part: f32) {}
 
     /// Asked before each round: how many samples per element it may take (at most `proposed`); 0 ends the work.
     /// The first round is asked for too, and answering 0 there leaves the map as it was.

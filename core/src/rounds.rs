@@ -1,6 +1,7 @@
 //! The loop that bakes and updates share: rounds of growing size until a budget or the caller ends them.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -33,8 +34,8 @@ pub(crate) struct Round<'a> {
     pub seed: u64,
     /// Which part of the round it is: those before it have as many samples, or one more.
     pub part: u32,
-    /// Tells the caller which pass begins; `f32` is the part of the round that is done.
-    pub begin: &'a dyn Fn(Pass, f32),
+    /// Tells the caller which pass begins, and which part of the round it is, roughly.
+    pub begin: &'a dyn Fn(Pass, Range<f32>),
 }
 
 impl Round<'_> {
@@ -269,7 +270,7 @@ impl Rounds<'_> {
             }
             let map = Arc::new(compose(sum, prior));
             let estimated_rmse = stated(&map);
-            let done = Progress { estimated_rmse, ..self.progress(sum, Pass::FinalGather, samples, 1.0) };
+            let done = Progress { estimated_rmse, ..self.progress(sum, Pass::FinalGather, samples, 1.0..1.0) };
             self.work.observer().progress(&done);
             self.work.observer().snapshot(&map, self.phase.snapshot(estimated_rmse), &done);
             last = Some(map);
@@ -307,13 +308,13 @@ impl Rounds<'_> {
             let proposed = sum.samples().max(least).min(left);
             let samples = match self.phase == Phase::Part && observer.leaves_first() {
                 true => 0,
-                false => observer.plan_round(&progress(Pass::Direct, proposed, 0.0), proposed).min(proposed),
+                false => observer.plan_round(&progress(Pass::Direct, proposed, 0.0..0.0), proposed).min(proposed),
             };
             let samples = if self.phase == Phase::Rest && index == 0 { samples.max(1) } else { samples };
             if samples == 0 {
                 return Ok(Ran { sum, prior, was_ended: true });
             }
-            let begin = |pass, fraction| observer.progress(&progress(pass, samples, fraction));
+            let begin = |pass, part| observer.progress(&progress(pass, samples, part));
             let seed = subseed(self.seed, index.into());
             let round = Round { samples, earlier: sum.samples(), seed, part: 0, begin: &begin };
             let known = match prior {
@@ -365,7 +366,8 @@ impl Rounds<'_> {
                     let asked = if let NextPart::Run(part) = next { part } else { missing[0] };
                     let part = if missing.contains(&asked) { asked } else { missing[0] };
                     let done = (added as usize + found.len()) as f32;
-                    let begin = |pass, fraction| (round.begin)(pass, (done + fraction) / count as f32);
+                    let within = |part: f32| (done + part) / count as f32;
+                    let begin = |pass, part: Range<f32>| (round.begin)(pass, within(part.start)..within(part.end));
                     let samples = parts[part as usize];
                     let mut values = std::mem::take(&mut spare);
                     estimator.round(prior, &Round { samples, part, begin: &begin, ..*round }, &mut values)?;
@@ -377,18 +379,13 @@ impl Rounds<'_> {
         Ok(())
     }
 
-    fn progress<V: Value>(
-        &self,
-        sum: &Accumulator<V>,
-        pass: Pass,
-        round_samples: u32,
-        round_fraction: f32,
-    ) -> Progress {
+    fn progress<V: Value>(&self, sum: &Accumulator<V>, pass: Pass, round_samples: u32, part: Range<f32>) -> Progress {
         Progress {
             pass,
             samples_per_element: if self.phase == Phase::Part { 0 } else { sum.samples() },
             round_samples,
-            round_fraction,
+            round_fraction: part.start,
+            pass_share: part.end - part.start,
             rays: self.work.rays(),
             estimated_rmse: None,
         }

@@ -13,6 +13,8 @@ use rebake_core::Pass;
 pub(crate) enum Step {
     /// One round, and a snapshot.
     Round,
+    /// Half of the last pass of a round.
+    Half,
     /// The end.
     Finish,
     /// A fault in the engine.
@@ -56,6 +58,7 @@ impl Scripted {
             samples_per_element: 0,
             round_samples: 4,
             round_fraction: 0.0,
+            pass_share: 0.0,
             rays: 0,
             estimated_rmse: None,
         };
@@ -65,6 +68,12 @@ impl Scripted {
                 Step::Finish => return Ok(map),
                 Step::Panic => panic!("scripted panic"),
                 Step::Round => {}
+                Step::Half => {
+                    observer.plan_round(&progress, 4);
+                    observer.progress(&Progress { round_fraction: 0.4, pass_share: 0.6, ..progress });
+                    observer.advanced(0.5);
+                    continue;
+                }
             }
             if observer.plan_round(&progress, 4) == 0 {
                 return Ok(map);
@@ -153,6 +162,7 @@ impl Engine for Scripted {
             samples_per_element: 0,
             round_samples: 4,
             round_fraction: 0.0,
+            pass_share: 0.0,
             rays: 0,
             estimated_rmse: None,
         };
@@ -161,6 +171,7 @@ impl Engine for Scripted {
                 Step::Finish => return Ok(map),
                 Step::Panic => panic!("scripted panic"),
                 Step::Round => {}
+                Step::Half => panic!("refining has no passes here"),
             }
             if observer.plan_round(&progress, 4) == 0 {
                 return Ok(map);

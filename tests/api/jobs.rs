@@ -320,3 +320,18 @@ async fn a_high_priority_goes_first() {
     assert!(refused.problem(422, "invalid-value").contains("priority"));
     server.stop().await;
 }
+
+#[tokio::test]
+async fn progress_moves_within_a_pass_and_tells_when_it_ends() {
+    let (server, script) = Server::scripted().await;
+    let scene = server.room("?samples_per_element=8").await;
+    let bake = scene["current_job"].as_str().unwrap();
+    script.run(&[Step::Half]);
+    let job = server.until(bake, |job| job["progress"]["fraction"].as_f64() > Some(0.21)).await;
+    // Half of the first loop of the gather, which the engine says begins after 2 of 5 parts of the first of two rounds.
+    assert!((job["progress"]["fraction"].as_f64().unwrap() - 0.275).abs() < 1e-6, "{job}");
+    assert!(job["progress"]["remaining_ms"].is_number(), "{job}");
+    script.run(&[Step::Round, Step::Finish]);
+    assert_eq!(server.end_of(bake).await["state"], "succeeded");
+    server.stop().await;
+}

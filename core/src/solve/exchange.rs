@@ -95,8 +95,9 @@ impl<V: Value> Exchange<V> {
         let mut first = vec![V::default(); rows.len()];
         let seed = seed.of(0xec);
         let tasks = (0..rows.len()).step_by(CHUNK).zip(chunks(&offsets, &mut entries)).zip(first.chunks_mut(CHUNK));
+        let begun = work.tasks(rows.len().div_ceil(CHUNK));
         tasks.collect::<Vec<_>>().into_par_iter().try_for_each(|((row, (offsets, mut entries)), first)| {
-            work.check()?;
+            begun.begin()?;
             let mut rays = 0;
             for ((row, first), ends) in (row..).zip(first).zip(offsets.windows(2)) {
                 let own = entries.split_off_mut(..ends[1] - ends[0]).unwrap_or_default();

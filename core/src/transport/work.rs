@@ -1,7 +1,7 @@
 //! What a running job is doing, and loops over slots on all threads.
 
 use std::ops::AddAssign;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
@@ -40,6 +40,11 @@ impl<'a> Work<'a> {
         if self.observer.canceled() { Err(Canceled) } else { Ok(()) }
     }
 
+    /// A loop of so many tasks.
+    pub(crate) fn tasks(&self, count: usize) -> Tasks<'_> {
+        Tasks { work: self, begun: AtomicUsize::new(0), count }
+    }
+
     /// Adds to the ray count.
     pub(crate) fn count(&self, rays: u64) {
         self.rays.fetch_add(rays, Ordering::Relaxed);
@@ -52,8 +57,9 @@ impl<'a> Work<'a> {
         f: impl Fn(usize, u32, &mut u64) -> T + Sync,
     ) -> Result<Vec<T>, Canceled> {
         let mut out = vec![T::default(); slots.len()];
+        let tasks = self.tasks(slots.len().div_ceil(CHUNK));
         out.par_chunks_mut(CHUNK).zip(slots.par_chunks(CHUNK)).enumerate().try_for_each(|(chunk, (out, slots))| {
-            self.check()?;
+            tasks.begin()?;
             let mut rays = 0;
             for (k, (out, &slot)) in out.iter_mut().zip(slots).enumerate() {
                 *out = f(chunk * CHUNK + k, slot, &mut rays);
@@ -71,13 +77,32 @@ impl<'a> Work<'a> {
         values: &mut [T],
         f: impl Fn(u32, &mut u64) -> T + Sync,
     ) -> Result<(), Canceled> {
-        pieces(slots, values, CHUNK).into_par_iter().try_for_each(|piece| {
-            self.check()?;
+        let pieces = pieces(slots, values, CHUNK);
+        let tasks = self.tasks(pieces.len());
+        pieces.into_par_iter().try_for_each(|piece| {
+            tasks.begin()?;
             let mut rays = 0;
             piece.for_each(|slot, value| *value += f(slot, &mut rays));
             self.count(rays);
             Ok(())
         })
+    }
+}
+
+/// A loop that runs on all threads.
+pub(crate) struct Tasks<'a> {
+    work: &'a Work<'a>,
+    begun: AtomicUsize,
+    count: usize,
+}
+
+impl Tasks<'_> {
+    /// One of them begins, unless the job is to end.
+    pub(crate) fn begin(&self) -> Result<(), Canceled> {
+        self.work.check()?;
+        let before = self.begun.fetch_add(1, Ordering::Relaxed);
+        self.work.observer.advanced(before as f32 / self.count as f32);
+        Ok(())
     }
 }
 

@@ -233,6 +233,10 @@ impl Observer for Quiet<'_> {
         self.0.canceled()
     }
 
+    fn advanced(&self, part: f32) {
+        self.0.advanced(part);
+    }
+
     fn plan_round(&self, so_far: &Progress, proposed: u32) -> u32 {
         self.0.plan_round(so_far, proposed)
     }

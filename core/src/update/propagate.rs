@@ -124,7 +124,7 @@ impl<V: Value> Updater<'_, V> {
         near: &[u32],
     ) -> Result<Vec<V>, Canceled> {
         let world = self.world;
-        (round.begin)(Pass::Propagation, 0.8);
+        (round.begin)(Pass::Propagation, 0.8..1.0);
         let mut field = self.on_the_subset(&change, round, aims, known)?;
         if !near.is_empty() && round.earlier >= FINE_FROM {
             let bounces = known.map_or(&*field, |(_, bounces)| bounces);

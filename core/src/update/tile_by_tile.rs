@@ -1,6 +1,7 @@
 //! Tile after tile, each to its quality before the next, in the order of importance (Ulschmid et al. 2024). What light
 //! comes from elsewhere is estimated once, roughly, for all of them: it arrives by way of at least one bounce.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use super::look_first::{Ahead, Known};
@@ -84,8 +85,8 @@ impl<V: Value> Updater<'_, V> {
     }
 
     fn know_for_tiles(&self, goal: &Goal, work: &Work) -> Result<(Prior<V>, Known<V>), Canceled> {
-        let begin = |pass, fraction| {
-            let progress = Progress { round_fraction: fraction, ..Progress::at_once(pass, 0, None) };
+        let begin = |pass, part: Range<f32>| {
+            let progress = Progress { round_fraction: part.start, ..Progress::at_once(pass, 0, None) };
             work.observer().progress(&Progress { rays: work.rays(), ..progress });
         };
         self.know_roughly(&Round { samples: 1, earlier: 0, seed: goal.first_seed(), part: 0, begin: &begin })

@@ -198,7 +198,7 @@ impl<'a, V: Value> Updater<'a, V> {
         new_slots: &[u32],
         direct: &mut [V],
     ) -> Result<(), Canceled> {
-        (round.begin)(Pass::Direct, 0.0);
+        (round.begin)(Pass::Direct, 0.0..0.2);
         self.direct.estimate(&extents.direct, &self.subset, round.samples, round.seed, self.work, direct)?;
         self.direct_of_new_slots(round, new_slots, direct)
     }
@@ -216,10 +216,10 @@ impl<'a, V: Value> Updater<'a, V> {
     ) -> Result<(), Canceled> {
         let (world, work) = (self.world, self.work);
         let LightValues { direct, indirect, .. } = parts;
-        (round.begin)(Pass::Object, 0.2);
+        (round.begin)(Pass::Object, 0.2..0.4);
         self.new_slots(round, new_slots, known, spots, direct, indirect)?;
 
-        (round.begin)(Pass::Source, 0.4);
+        (round.begin)(Pass::Source, 0.4..0.8);
         let mut light = self.buffers.take();
         light.clone_from(&self.light);
         for &slot in &self.transition.new_slots {

@@ -1,7 +1,5 @@
 //! When a job stops, how large its rounds are so that it ends on time, and how far it is: pure functions.
 
-use std::time::Duration;
-
 use serde::{Deserialize, Serialize};
 
 use crate::engine::Progress;
@@ -46,7 +44,7 @@ impl Pace {
             None => proposed.min(Pace::FIRST_ROUND),
             Some((started_secs, samples)) => {
                 let last = (now_secs - started_secs, samples);
-                let (secs_per_round, secs_per_sample) = self.speed(last);
+                let (secs_per_round, secs_per_sample) = speed(last, self.measured);
                 self.measured = Some(last);
                 // `as` saturates: where there is no room left this is 0.
                 proposed.min(((max_seconds - now_secs - secs_per_round) / secs_per_sample) as u32)
@@ -55,20 +53,20 @@ impl Pace {
         self.running = Some((now_secs, samples));
         samples
     }
+}
 
-    /// Seconds per round and, on top, per sample.
-    fn speed(&self, (secs, samples): (f64, u32)) -> (f64, f64) {
-        const SHORTEST: f64 = 1e-9;
-        let all_per_sample = (secs / f64::from(samples.max(1))).max(SHORTEST);
-        match self.measured {
-            Some((before_secs, before)) if before < samples => {
-                let per_sample = (secs - before_secs) / f64::from(samples - before);
-                // Noise can make larger rounds look free or rounds themselves cheaper than nothing.
-                let per_sample = per_sample.clamp(0.25 * all_per_sample, all_per_sample).max(SHORTEST);
-                (secs - per_sample * f64::from(samples), per_sample)
-            }
-            _ => (0.0, all_per_sample),
+/// Seconds per round and, on top, per sample, by the last round and the one before: seconds and samples of each.
+pub(super) fn speed((secs, samples): (f64, u32), before: Option<(f64, u32)>) -> (f64, f64) {
+    const SHORTEST: f64 = 1e-9;
+    let all_per_sample = (secs / f64::from(samples.max(1))).max(SHORTEST);
+    match before {
+        Some((before_secs, before)) if before < samples => {
+            let per_sample = (secs - before_secs) / f64::from(samples - before);
+            // Noise can make larger rounds look free or rounds themselves cheaper than nothing.
+            let per_sample = per_sample.clamp(0.25 * all_per_sample, all_per_sample).max(SHORTEST);
+            (secs - per_sample * f64::from(samples), per_sample)
         }
+        _ => (0.0, all_per_sample),
     }
 }
 
@@ -88,10 +86,24 @@ pub(super) fn fraction(budget: &JobBudget, progress: &Progress, elapsed_secs: f6
     if fraction.is_finite() { fraction.clamp(0.0, 1.0) } else { 0.0 }
 }
 
-/// Time to the end at the pace so far; none while that says nothing.
-pub(super) fn remaining_ms(fraction: f64, elapsed: Duration) -> Option<u64> {
-    const MEASURED: f64 = 0.02;
-    (fraction >= MEASURED).then(|| (elapsed.as_secs_f64() * 1e3 * (1.0 - fraction) / fraction) as u64)
+/// Samples per element at which the stated error is likely to be what is asked for: it falls with their root.
+pub(super) fn samples_wanted(budget: &JobBudget, progress: &Progress) -> f64 {
+    match (budget.target_rmse, progress.estimated_rmse) {
+        (Some(target), Some(now)) if now.is_finite() && target > 0.0 => {
+            f64::from(progress.samples_per_element) * f64::from(now / target).powi(2)
+        }
+        _ => f64::INFINITY,
+    }
+}
+
+/// Milliseconds to the end: what is measured of the work, or what is left of its time where that is less.
+pub(super) fn remaining_ms(budget: &JobBudget, measured_secs: Option<f64>, elapsed_secs: f64) -> Option<u64> {
+    let left = budget.max_seconds.map(|max| (max - elapsed_secs).max(0.0));
+    let secs = match (measured_secs, left) {
+        (Some(measured), Some(left)) => Some(measured.min(left)),
+        (measured, left) => measured.or(left),
+    };
+    secs.map(|secs| (secs * 1e3) as u64)
 }
 
 #[cfg(test)]
@@ -138,6 +150,7 @@ mod tests {
             samples_per_element: 10,
             round_samples: 10,
             round_fraction: 0.5,
+            pass_share: 0.0,
             rays: 0,
             estimated_rmse: None,
         };

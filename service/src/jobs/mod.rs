@@ -3,6 +3,7 @@
 //! what a scene works towards, `idle` what happens while there are none.
 
 pub(crate) mod budget;
+mod forecast;
 mod idle;
 pub mod job;
 mod lifecycle;

@@ -1,11 +1,12 @@
 //! The service's side of a running job: time, cancel, progress, snapshots.
 
-use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use super::Jobs;
-use super::budget::{JobBudget, Pace, fraction, remaining_ms};
+use super::budget::{JobBudget, Pace, fraction, remaining_ms, samples_wanted};
+use super::forecast::Forecast;
 use super::phases::PhaseClock;
 use super::queue::{JobNumber, JobProgress};
 use super::seeds::mixed;
@@ -73,10 +74,15 @@ pub(crate) struct JobObserver<'a> {
     started: Instant,
     piece: Piece,
     reached: Mark,
+    /// Milliseconds after `started` at which progress within a pass is told next.
+    due_ms: AtomicU64,
     state: Mutex<State>,
     /// The round that others do parts of.
     offered: Mutex<Option<OpenOffer>>,
 }
+
+/// Between two looks at how far a pass is: not often, since events are remembered.
+const WITHIN_PASS: Duration = Duration::from_millis(500);
 
 /// A piece of a job's work.
 #[derive(Clone, Copy, Debug, Default)]
@@ -106,6 +112,9 @@ pub(crate) struct Complete {
 #[derive(Default)]
 struct State {
     pace: Pace,
+    forecast: Forecast,
+    /// What the engine told last.
+    told: Option<Progress>,
     /// The last complete map of the piece.
     complete: Option<Complete>,
     /// Time ended the piece.
@@ -137,6 +146,7 @@ impl<'a> JobObserver<'a> {
             started: Instant::now(),
             piece: Piece::default(),
             reached: Mark::default(),
+            due_ms: AtomicU64::new(0),
             state: Mutex::default(),
             offered: Mutex::default(),
         }
@@ -148,6 +158,7 @@ impl<'a> JobObserver<'a> {
         self.reached = Mark::default();
         let mut state = self.lock();
         (state.complete, state.pace, state.cut) = (None, Pace::default(), false);
+        (state.forecast, state.told) = (Forecast::default(), None);
         state.meter = Meter::default();
     }
 
@@ -219,8 +230,16 @@ impl<'a> JobObserver<'a> {
     }
 
     fn report(&self, progress: &Progress, version: Option<u64>) {
-        let (elapsed, progress) = (self.started.elapsed(), &self.counted(progress));
-        let fraction = fraction(&self.budget, progress, self.used_secs());
+        let (elapsed, used) = (self.started.elapsed(), self.used_secs());
+        let (part, measured) = {
+            let state = self.lock();
+            (state.forecast.part(), self.measured(&state.forecast, progress, elapsed.as_secs_f64()))
+        };
+        let progress = &self.counted(progress);
+        // A round that is finished counts among the samples.
+        let round_fraction = if progress.round_fraction < 1.0 { part as f32 } else { 1.0 };
+        let running = Progress { round_fraction, ..*progress };
+        let fraction = fraction(&self.budget, &running, used);
         let report = JobProgress {
             fraction,
             pass: Some(progress.pass.as_str()),
@@ -230,9 +249,17 @@ impl<'a> JobObserver<'a> {
             resolution: self.lock().meter.error().and_then(|error| error.all.rmse()),
             rays: progress.rays,
             version,
-            remaining_ms: remaining_ms(fraction, elapsed),
+            remaining_ms: remaining_ms(&self.budget, measured, used),
         };
         self.jobs.report(self.job, report);
+    }
+
+    /// Seconds that the piece will take from here on, where anything is measured.
+    fn measured(&self, forecast: &Forecast, progress: &Progress, now: f64) -> Option<f64> {
+        let before = self.piece.before;
+        let wanted = samples_wanted(&self.budget, &self.counted(progress)) - f64::from(before);
+        let budget = self.budget.samples_per_element.saturating_sub(before);
+        forecast.remaining(now, progress.samples_per_element, wanted, budget)
     }
 
     /// With the samples of the light that the piece starts from.
@@ -258,6 +285,9 @@ impl Observer for JobObserver<'_> {
         let version = {
             let mut state = self.lock();
             state.clock.tick(&self.jobs.metrics, progress);
+            let now = self.started.elapsed().as_secs_f64();
+            state.forecast.told(now, progress);
+            state.told = Some(*progress);
             let pass = progress.pass.as_str();
             let is_news = state
                 .reported
@@ -271,17 +301,42 @@ impl Observer for JobObserver<'_> {
         self.report(progress, version);
     }
 
+    fn advanced(&self, part: f32) {
+        let now = self.started.elapsed();
+        let (now_ms, due) = (now.as_millis() as u64, self.due_ms.load(Ordering::Relaxed));
+        let next = now_ms + WITHIN_PASS.max(self.jobs.config.timeouts.progress).as_millis() as u64;
+        let is_due =
+            now_ms >= due && self.due_ms.compare_exchange(due, next, Ordering::Relaxed, Ordering::Relaxed).is_ok();
+        // Every loop is noted as it begins.
+        if !is_due && part > 0.0 {
+            return;
+        }
+        let (told, version) = {
+            let mut state = self.lock();
+            state.forecast.advance(now.as_secs_f64(), part);
+            if !is_due {
+                return;
+            }
+            let Some(told) = state.told else { return };
+            state.reported = Some((Instant::now(), told.pass.as_str()));
+            (told, state.version)
+        };
+        self.report(&told, version);
+    }
+
     fn plan_round(&self, so_far: &Progress, proposed: u32) -> u32 {
         self.progress(so_far);
-        match self.budget.max_seconds {
+        let mut state = self.lock();
+        let samples = match self.budget.max_seconds {
             None => proposed,
             Some(max) => {
-                let mut state = self.lock();
                 let samples = state.pace.plan(self.used_secs(), max, proposed);
                 state.cut |= samples == 0;
                 samples
             }
-        }
+        };
+        state.forecast.round(self.started.elapsed().as_secs_f64(), samples);
+        samples
     }
 
     fn offer(&self, offer: &Offer<'_>) {
