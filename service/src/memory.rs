@@ -138,7 +138,7 @@ impl Memory {
     pub(crate) fn in_use(&self) -> u64 {
         let of = |scene: &SceneEntry| {
             let published = scene.published();
-            let world = (published.world.memory_bytes() as u64).max(scene.accepted_bytes());
+            let world = (published.world.memory_bytes() as u64).max(scene.accepted().bytes);
             let light = published.memory_bytes() + scene.aside_bytes(&published) + scene.made_atlas.memory_bytes();
             world + light as u64 + scene.layers_to_come(&published)
         };

@@ -1,5 +1,6 @@
 //! The service over HTTP: the real server on a free port.
 
+mod accepted;
 mod access;
 mod accuracy;
 mod ambient;

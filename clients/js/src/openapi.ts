@@ -526,8 +526,13 @@ export interface ObjectPage {
   items: SceneObject[];
   /** Version of the light map. */
   version: number;
-  /** Version at which elements, objects or lights last changed. Pages of different ones do not belong together. */
+  /**
+   * Version at which elements, objects or lights last changed. Pages of different ones, or of different numbers of
+   * accepted edits, do not belong together.
+   */
   elements_version: number;
+  /** Edits of the scene that were accepted: all of them are in the list. */
+  accepted_edits: number;
   /** Asks for the next page; absent on the last. */
   next_cursor?: string | null;
 }
@@ -765,14 +770,19 @@ export interface Scene {
   target?: Budget | null;
   /** Edit requests that were accepted so far and changed something. The scene's `ETag`, which `If-Match` compares with. */
   accepted_edits: number;
+  /**
+   * How many of those `version` shows with their geometry. While it is below `accepted_edits`, objects and lights are
+   * told as all accepted edits leave them, and objects have the elements that they have in `version`.
+   */
+  published_edits: number;
   /** Accepted edits whose light is not in the map yet: those of jobs that wait, run or were canceled. */
   unlit_edits: number;
   /**
-   * The objects, in order. Their `albedo` is the mean of the file or of the last repaint; light meets at most
+   * The objects, in order, after all accepted edits. Their `albedo` is the mean of the file or of the last repaint; light meets at most
    * `max_albedo`.
    */
   objects: SceneObject[];
-  /** The lights, in order. */
+  /** The lights, in order, after all accepted edits. */
   lights: Light[];
   /**
    * The layers of the light map: it is the sum of weight × layer. None before a light is relit or lights are
@@ -836,11 +846,11 @@ export type SceneMode = "full" | "indirect";
 
 /** An object: a glTF node with a mesh, the unit of an edit. */
 export interface SceneObject {
-  /** Its index in `/elements`. */
+  /** Its index in `/elements`; beyond those where it is not published yet. */
   index: number;
   /** Its name. */
   name: string;
-  /** Its elements. */
+  /** Its elements; none before it is published. */
   elements: ElementRange;
   /** Errors of its light. */
   light_error: LightError;

@@ -167,7 +167,7 @@ fn accept(
         let text = "too many edits of this scene are not lit yet";
         return Err(Problem::new(Kind::QueueFull, text).retry_after(1));
     }
-    let room = app.memory.promise(memory::estimate_inserts(&edits, head.world.density()), scene.accepted_bytes());
+    let room = app.memory.promise(memory::estimate_inserts(&edits, head.world.density()), scene.accepted().bytes);
     let _promise = room.map_err(|full| memory_problem("edited scene", full))?;
     let transition = match edits.is_empty() {
         true => None,
@@ -202,8 +202,7 @@ fn accept(
         head.history.accept(accepted, parsed.turn(), (&head.world.scene, &transition.after.scene));
         head.world = transition.after.clone();
         head.sequence = sequence;
-        scene.set_accepted_edits(sequence);
-        scene.set_accepted_bytes(head.world.memory_bytes() as u64);
+        scene.set_accepted(head);
         room_of_layers.iter().for_each(|room| scene.expect_layers(room.expected));
         Unlit { sequence, transition: Arc::new(transition), edits: edits.into() }
     });

@@ -200,7 +200,7 @@ pub(super) fn room_for<'a>(app: &'a App, scene: &SceneEntry, after: &World, edit
     let expected = (count * LAYER_BYTES * after.slots()) as u64;
     let to_come = scene.layers_to_come(&published);
     let more = expected.saturating_sub(published.layer_bytes() as u64 + to_come);
-    let present = scene.accepted_bytes() + published.memory_bytes() as u64 + to_come;
+    let present = scene.accepted().bytes + published.memory_bytes() as u64 + to_come;
     let promise = app.memory.promise(more, present);
     Ok(Room { expected, _promise: promise.map_err(|full| memory_problem("scene with its layers", full))? })
 }

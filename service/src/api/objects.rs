@@ -1,5 +1,6 @@
 //! Objects one by one: what a client needs of one without the whole file.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 
 use axum::extract::State;
@@ -13,12 +14,15 @@ use super::coding::encode_body;
 use super::extract::{ApiPath, ApiQuery, Coding, first_named};
 use super::paging::Onward;
 use super::problem::{ApiResult, Kind, Problem};
-use super::scenes::{ListQuery, objects};
-use super::types::{SceneObject, finite};
+use super::scenes::ListQuery;
+use super::types::{ElementRange, SceneObject, finite};
 use super::versioned::Versioned;
 use super::{Shared, find_scene};
 use crate::engine::{self, ObjectSummary, Scene};
-use crate::store::versions::{Published, Wanted};
+use crate::store::accepted::AcceptedWorld;
+use crate::store::lighting::Sequence;
+
+use crate::store::versions::{Published, Stated, Wanted};
 
 /// One page of objects.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
@@ -28,9 +32,13 @@ pub(super) struct ObjectPage {
     /// Version of the light map.
     #[schema(example = 7)]
     version: u64,
-    /// Version at which elements, objects or lights last changed. Pages of different ones do not belong together.
+    /// Version at which elements, objects or lights last changed. Pages of different ones, or of different numbers of
+    /// accepted edits, do not belong together.
     #[schema(example = 3)]
     elements_version: u64,
+    /// Edits of the scene that were accepted: all of them are in the list.
+    #[schema(example = 3)]
+    accepted_edits: u64,
     /// Asks for the next page; absent on the last.
     next_cursor: Option<String>,
 }
@@ -104,19 +112,59 @@ pub(super) async fn list(
     ApiPath(id): ApiPath<String>,
     ApiQuery(query): ApiQuery<ListQuery>,
 ) -> ApiResult<Response> {
-    let published = find_scene(&app, &id).await?.published();
+    let scene = find_scene(&app, &id).await?;
     let page = Onward::new(&app.config, query.limit, query.cursor.as_deref())?;
     let write = move || {
         // Numbers of entries begin with 1: nothing is before the first page.
         let number = |object: &SceneObject| u64::from(object.index) + 1;
-        let after = usize::try_from(page.after).unwrap_or(usize::MAX);
-        let found = objects(&published).skip(after).take(page.limit + 1).collect();
+        let (published, shown) = scene.shown();
+        let accepted = scene.accepted();
+        let mut found = tell(&published, shown, &accepted);
+        found.retain(|object| number(object) > page.after);
         let (items, next_cursor) = page.cut(found, number);
         let (version, elements_version) = (published.version, published.elements_version);
-        serde_json::to_vec(&ObjectPage { items, version, elements_version, next_cursor })
+        let accepted_edits = accepted.sequence;
+        serde_json::to_vec(&ObjectPage { items, version, elements_version, accepted_edits, next_cursor })
     };
     let json = app.compute.answer(write).await?.map_err(Problem::internal)?;
     Ok(([(header::CONTENT_TYPE, "application/json")], json).into_response())
+}
+
+/// The objects of a scene after its accepted edits, in the order of `index`, with the elements that are published, up to
+/// the edit `shown`.
+pub(super) fn tell(published: &Published, shown: Sequence, accepted: &AcceptedWorld) -> Vec<SceneObject> {
+    let known: Vec<SceneObject> = (published.objects().iter().zip(published.stated_of_objects()))
+        .map(|(object, stated)| SceneObject::new(object, stated))
+        .collect();
+    if accepted.sequence <= shown {
+        return known;
+    }
+    let mut behind = known.len() as u32..;
+    let by_name: HashMap<&str, &SceneObject> = known.iter().map(|object| (object.name.as_str(), object)).collect();
+    let in_version = |object: &ObjectSummary| {
+        let told = SceneObject::new(object, Stated::default());
+        match by_name.get(object.name.as_str()) {
+            Some(SceneObject { index, elements, light_error, with_back, triangles, .. }) => SceneObject {
+                index: *index,
+                elements: *elements,
+                light_error: *light_error,
+                with_back: *with_back,
+                triangles: *triangles,
+                ..told
+            },
+            None => SceneObject {
+                index: behind.next().unwrap_or(u32::MAX),
+                elements: ElementRange { first: published.world.slots() as u32, count: 0 },
+                with_back: false,
+                triangles: 0,
+                ..told
+            },
+        }
+    };
+    let mut objects: Vec<SceneObject> = accepted.objects().iter().map(in_version).collect();
+    // What was removed and came back under its name stands where it stood.
+    objects.sort_by_key(|object| object.index);
+    objects
 }
 
 /// What to tell of an object.

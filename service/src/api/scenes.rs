@@ -19,7 +19,7 @@ use super::layers;
 use super::paging::Page;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::{self, finite};
-use super::{Shared, etag, find_any_scene, find_scene, require_serving};
+use super::{Shared, etag, find_any_scene, find_scene, objects, require_serving};
 use crate::engine::LightMap;
 use crate::jobs::budget::JobBudget;
 use crate::jobs::tell_scene;
@@ -27,7 +27,6 @@ use crate::state::App;
 use crate::store::StoreError;
 use crate::store::records::SceneChange;
 use crate::store::scene::SceneEntry;
-use crate::store::versions::Published;
 
 /// Which page of a list.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -61,7 +60,7 @@ pub(super) async fn list(
 #[utoipa::path(
     get, path = "/v1/scenes/{scene}", tag = "scenes", operation_id = "get_scene",
     params(("scene" = String, Path, description = "The scene's id")),
-    responses((status = 200, body = types::Scene, description = "The scene",
+    responses((status = 200, body = types::Scene, description = "The scene, with the objects and lights that its accepted edits lead to",
         headers(("ETag" = String, description = "The edits that were accepted so far (`accepted_edits`), for `If-Match`"))))
 )]
 pub(super) async fn get(State(app): Shared, ApiPath(id): ApiPath<String>) -> ApiResult<Response> {
@@ -161,7 +160,7 @@ pub(super) fn summary(app: &App, scene: &SceneEntry) -> types::SceneSummary {
     }
 }
 
-/// A scene with all that is in it, of one version, as JSON. Thousands of objects take their time: they are told and
+/// A scene with all that is in it after the edits that were accepted, as JSON. Thousands of objects take their time: they are told and
 /// written on the pool. `bake`: the job that was queued with the scene, told also where it is done by now. The number of
 /// accepted edits comes with it.
 pub(super) async fn scene_json(
@@ -171,7 +170,7 @@ pub(super) async fn scene_json(
 ) -> ApiResult<(u64, Response)> {
     let (its_app, its_scene) = (app.clone(), scene.clone());
     let write = move || {
-        let mut told = of_published(&its_app, &its_scene, &its_scene.published());
+        let mut told = tell(&its_app, &its_scene);
         told.current_job = bake.or(told.current_job);
         serde_json::to_vec(&told).map(|json| (told.accepted_edits, json))
     };
@@ -179,7 +178,10 @@ pub(super) async fn scene_json(
     Ok((accepted, ([(header::CONTENT_TYPE, "application/json")], json).into_response()))
 }
 
-fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::Scene {
+fn tell(app: &App, scene: &SceneEntry) -> types::Scene {
+    // In this order: what is shown was accepted before.
+    let (published, shown) = scene.shown();
+    let (published, accepted) = (&*published, scene.accepted());
     let world = &published.world;
     types::Scene {
         id: scene.id.clone(),
@@ -197,24 +199,19 @@ fn of_published(app: &App, scene: &SceneEntry, published: &Published) -> types::
         estimated_rmse: published.estimated_rmse.and_then(finite),
         light_error: published.stated().into(),
         target: scene.target().map(to_target),
-        accepted_edits: scene.accepted_edits(),
+        accepted_edits: accepted.sequence,
+        published_edits: shown,
         unlit_edits: scene.unlit() as u64,
-        objects: objects(published).collect(),
-        lights: world.lights().map(|info| light(&info, &published.map)).collect(),
+        objects: objects::tell(published, shown, &accepted),
+        lights: accepted.world.lights().map(|info| light(&info, &published.map)).collect(),
         layers: published.layers.iter().map(layers::describe).collect(),
         cameras: world.scene.cameras.iter().zip(0..).map(camera).collect(),
-        warnings: world.scene.warnings.clone(),
+        warnings: accepted.world.scene.warnings.clone(),
         degenerate_triangles: world.scene.degenerate_triangles as u64,
         current_job: current_job(app, scene),
         error: scene.error(),
         created_at: scene.created_at,
     }
-}
-
-/// The objects of a version, in order.
-pub(super) fn objects(published: &Published) -> impl Iterator<Item = types::SceneObject> + '_ {
-    let errors = published.stated_of_objects();
-    published.objects().iter().zip(errors).map(|(object, stated)| types::SceneObject::new(object, stated))
 }
 
 fn to_target(target: JobBudget) -> Budget {

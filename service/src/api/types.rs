@@ -114,12 +114,17 @@ pub struct Scene {
     /// Edit requests that were accepted so far and changed something. The scene's `ETag`, which `If-Match` compares with.
     #[schema(example = 3)]
     pub accepted_edits: u64,
+    /// How many of those `version` shows with their geometry. While it is below `accepted_edits`, objects and lights are
+    /// told as all accepted edits leave them, and objects have the elements that they have in `version`.
+    #[schema(example = 3, required = true)]
+    #[serde(default)]
+    pub published_edits: u64,
     /// Accepted edits whose light is not in the map yet: those of jobs that wait, run or were canceled.
     pub unlit_edits: u64,
-    /// The objects, in order. Their `albedo` is the mean of the file or of the last repaint; light meets at most
+    /// The objects, in order, after all accepted edits. Their `albedo` is the mean of the file or of the last repaint; light meets at most
     /// `max_albedo`.
     pub objects: Vec<SceneObject>,
-    /// The lights, in order.
+    /// The lights, in order, after all accepted edits.
     pub lights: Vec<Light>,
     /// The layers of the light map: it is the sum of weight × layer. None before a light is relit or lights are
     /// grouped.
@@ -216,12 +221,12 @@ pub struct Bounds {
 /// An object: a glTF node with a mesh, the unit of an edit.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 pub struct SceneObject {
-    /// Its index in `/elements`.
+    /// Its index in `/elements`; beyond those where it is not published yet.
     pub index: u32,
     /// Its name.
     #[schema(example = "sofa")]
     pub name: String,
-    /// Its elements.
+    /// Its elements; none before it is published.
     pub elements: ElementRange,
     /// Errors of its light.
     pub light_error: LightError,

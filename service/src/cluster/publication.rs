@@ -178,7 +178,7 @@ impl Publisher {
             target: scene.target(),
             created_at: scene.created_at,
             snapshot,
-            accepted: scene.accepted_edits(),
+            accepted: scene.accepted().sequence,
             light: about,
             map: objects.put_file(map.into()).await?,
             changed: objects.put_file(changed.into()).await?,

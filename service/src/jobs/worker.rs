@@ -99,6 +99,7 @@ fn after(jobs: &Arc<Jobs>, remains: Remains) {
         // None where an edit came in between: the job of that edit ends here too.
         if let Some(world) = head.world.with_trees(trees) {
             head.world = world;
+            scene.set_accepted(&head);
         }
     });
 }

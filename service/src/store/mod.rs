@@ -1,6 +1,7 @@
 //! What the service knows: scenes with their published light maps, and assets. [`Store`] keeps what has to survive a
 //! restart: [`disk`] in a data directory, [`InMemory`] nothing.
 
+pub(crate) mod accepted;
 pub(crate) mod assets;
 pub(crate) mod atlas;
 pub(crate) mod computed;

@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use jiff::Timestamp;
 use tokio::sync::watch;
 
+use super::accepted::AcceptedWorld;
 use super::atlas::MadeAtlas;
 use super::computed::KeptPart;
 use super::deltas::KeptDeltas;
@@ -59,10 +60,8 @@ pub(crate) struct SceneEntry {
     pub(crate) reserved: AtomicU64,
     /// A save is under way: another would only repeat it.
     pub(crate) saving: AtomicBool,
-    /// `Head::sequence`, for those who do not wait for the head.
-    accepted_edits: AtomicU64,
-    /// Bytes of the world after all accepted edits.
-    accepted_bytes: AtomicU64,
+    /// What the head holds, for those who do not wait for it.
+    accepted: Mutex<Arc<AcceptedWorld>>,
     /// Bytes of the layers that the light of all accepted edits will have, at most.
     expected_layers: AtomicU64,
     /// The version beyond which idle time brings nothing.
@@ -112,8 +111,7 @@ impl SceneEntry {
         published: Published,
         limits: &Limits,
     ) -> SceneEntry {
-        let accepted_bytes = AtomicU64::new(head.world.memory_bytes() as u64);
-        let accepted_edits = AtomicU64::new(head.sequence);
+        let accepted = Mutex::new(Arc::new(AcceptedWorld::new(&head.world, head.sequence)));
         SceneEntry {
             number: new.number,
             id: new.id,
@@ -136,8 +134,7 @@ impl SceneEntry {
             deleted: watch::Sender::new(false),
             reserved: AtomicU64::new(new.reserved),
             saving: AtomicBool::new(false),
-            accepted_edits,
-            accepted_bytes,
+            accepted,
             expected_layers: AtomicU64::new(0),
             refined: AtomicU64::new(u64::MAX),
             error: Mutex::new(new.error),
@@ -208,6 +205,12 @@ impl SceneEntry {
         self.published.borrow().clone()
     }
 
+    /// What clients see now, and up to which accepted edit its geometry is.
+    pub(crate) fn shown(&self) -> (Arc<Published>, Sequence) {
+        let lighting = self.lighting();
+        (self.published(), lighting.shown())
+    }
+
     /// Told of every new version; skips what it is too slow for.
     pub(crate) fn watch_published(&self) -> watch::Receiver<Arc<Published>> {
         self.published.subscribe()
@@ -245,8 +248,8 @@ impl SceneEntry {
 
     /// It is prepared: here is what it holds.
     pub(crate) fn set_ready(&self, head: &mut Head, world: World) -> Arc<Published> {
-        self.set_accepted_bytes(world.memory_bytes() as u64);
         head.world = world.clone();
+        self.set_accepted(head);
         let published = self.publish(Published::laid_out(world, self.mode));
         published.objects();
         self.state.send_replace(SceneState::Ready);
@@ -271,9 +274,8 @@ impl SceneEntry {
     /// Another version, as a service that this one follows has published it. Waits for the head: not from an async thread.
     pub(crate) fn replace(&self, world: World, accepted: Sequence, lighting: Lighting, published: Published) {
         let mut head = self.head.blocking_lock();
-        self.set_accepted_bytes(world.memory_bytes() as u64);
-        self.set_accepted_edits(accepted);
         (head.world, head.sequence) = (world, accepted);
+        self.set_accepted(&head);
         let mut own = self.lighting();
         *own = lighting;
         self.publish(published);
@@ -305,21 +307,15 @@ impl SceneEntry {
         self.lighting().unlit()
     }
 
-    /// Edit requests that were accepted and changed something.
-    pub(crate) fn accepted_edits(&self) -> Sequence {
-        self.accepted_edits.load(Ordering::Relaxed)
+    /// What all accepted edits lead to.
+    pub(crate) fn accepted(&self) -> Arc<AcceptedWorld> {
+        self.accepted.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    pub(crate) fn set_accepted_edits(&self, sequence: Sequence) {
-        self.accepted_edits.store(sequence, Ordering::Relaxed);
-    }
-
-    pub(crate) fn accepted_bytes(&self) -> u64 {
-        self.accepted_bytes.load(Ordering::Relaxed)
-    }
-
-    pub(crate) fn set_accepted_bytes(&self, bytes: u64) {
-        self.accepted_bytes.store(bytes, Ordering::Relaxed);
+    /// The head holds another world.
+    pub(crate) fn set_accepted(&self, head: &Head) {
+        let accepted = Arc::new(AcceptedWorld::new(&head.world, head.sequence));
+        *self.accepted.lock().unwrap_or_else(PoisonError::into_inner) = accepted;
     }
 
     /// Bytes of layers that are expected and not there yet.

@@ -170,6 +170,8 @@ class SceneInfo:
     target: Budget | None = None
     current_job: str | None = None
     error: str | None = None
+    #: How many of the accepted edits `version` shows; objects and lights are told after all of them.
+    published_edits: int = 0
 
     def object(self, name: str) -> SceneObject:
         """The object of that name. Raises `KeyError`."""
