@@ -293,6 +293,16 @@ pub(crate) fn objects(world: &World) -> impl Iterator<Item = ObjectSummary> + '_
     })
 }
 
+/// The node of the file that a light is, or that shines.
+pub(crate) fn node_of<'a>(of: &'a Scene, light: &scene::Light) -> Option<&'a NodeSource> {
+    match &light.kind {
+        scene::LightKind::Emissive { object, .. } => {
+            of.objects.iter().find(|found| found.name == *object).and_then(|found| found.node.as_ref())
+        }
+        _ => of.light_nodes.get(&light.name),
+    }
+}
+
 /// A hash of all elements: two worlds with the same one have the same slots, bit for bit.
 pub(crate) fn layout_hash(world: &World) -> String {
     blake3::hash(&element_records(world)).to_hex().to_string()

@@ -134,3 +134,47 @@ async fn a_time_budget_ends_a_bake() {
     assert!(job["progress"]["elapsed_ms"].as_u64().unwrap() < 1500 || samples <= 8, "{job}");
     server.stop().await;
 }
+
+#[tokio::test]
+async fn a_scene_whose_last_light_goes_says_that_it_is_dark() {
+    let server = Server::start().await;
+    let scene = server.room("?bake=false").await;
+    let dark = async || {
+        let now = server.get(&path_of(&scene)).await.json(200);
+        let warnings = now["warnings"].as_array().unwrap().clone();
+        warnings.iter().filter(|warning| warning.as_str().unwrap().contains("has no light")).count()
+    };
+    assert_eq!(dark().await, 0);
+    for (edit, expected) in [
+        (json!({ "op": "relight", "lights": [{ "light": "lamp", "intensity": 0 }] }), 1),
+        (json!({ "op": "relight", "lights": [{ "light": "lamp", "intensity": 2 }] }), 0),
+        (json!({ "op": "remove_light", "light": "lamp" }), 1),
+        (json!({ "op": "undo" }), 0),
+    ] {
+        server.edit(&scene, &edit).await;
+        assert_eq!(dark().await, expected, "{edit}");
+    }
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn lights_tell_their_nodes() {
+    let server = Server::start().await;
+    let file = glb::room().bytes_with(|document| {
+        for node in document["nodes"].as_array_mut().unwrap() {
+            if node["name"] == "lamp" {
+                node["extras"] = json!({ "id": "c04e" });
+            }
+        }
+    });
+    let index = glb::room().document()["nodes"].as_array().unwrap().iter().position(|node| node["name"] == "lamp");
+    let scene = server.post_glb("/v1/scenes?spacing=1&bake=false", file).await.json(201);
+    let lamp = scene["lights"].as_array().unwrap().iter().find(|light| light["name"] == "lamp").unwrap();
+    assert_eq!((&lamp["node"], &lamp["id"]), (&json!(index), &json!("c04e")));
+    let sun = json!({ "kind": "directional", "direction": [0, -1, 0], "color": [1, 1, 1], "intensity": 1 });
+    server.edit(&scene, &json!({ "op": "insert_light", "name": "sun", "light": sun })).await;
+    let scene = server.get(&path_of(&scene)).await.json(200);
+    let sun = scene["lights"].as_array().unwrap().iter().find(|light| light["name"] == "sun").unwrap();
+    assert!(sun.get("node").is_none() && sun.get("id").is_none(), "{sun}");
+    server.stop().await;
+}

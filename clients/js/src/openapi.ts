@@ -390,6 +390,10 @@ export type JobState = "queued" | "running" | "paused" | "succeeded" | "failed" 
 export interface Light {
   /** Its name. */
   name: string;
+  /** Index of its node in the uploaded file, of an emissive surface that of its object; absent for what was inserted. */
+  node?: number | null;
+  /** `extras.id` of the node, where the file has one. */
+  id?: string | null;
   /** `emissive`, `point`, `spot`, `directional` or `environment`. */
   kind: string;
   /** Linear RGB factor. */

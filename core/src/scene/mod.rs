@@ -42,8 +42,8 @@ pub struct Scene {
     /// Names of punctual lights whose nodes lie under an object's node in the file (or that came with an inserted
     /// object), with the name of that object.
     pub light_parents: BTreeMap<String, String>,
-    /// Names of the file's punctual lights, with the indices of their nodes there.
-    pub light_nodes: BTreeMap<String, u32>,
+    /// Names of the file's punctual lights, with their nodes there.
+    pub light_nodes: BTreeMap<String, NodeSource>,
     /// Lights of hidden objects, by the name of the object. Their names are taken.
     pub hidden_lights: BTreeMap<String, Vec<HiddenLight>>,
     /// Cameras of the file, in its order.
@@ -90,7 +90,7 @@ pub struct Object {
     pub asset: Option<Arc<str>>,
 }
 
-/// The node of the file that an object is.
+/// The node of the file that an object or a light is.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeSource {
     /// Index in the file's list of nodes.

@@ -180,11 +180,16 @@ impl Scene {
 
     /// Adds a warning where there is no light at all, or none that is on.
     pub fn warn_where_dark(&mut self) {
-        if self.lights.iter().all(|light| light.strength() == Vec3::ZERO) {
-            let text = "the scene has no light, so its light map is black: add lamps, or light from outside (sky, environment or \
-                 default_sky)";
-            self.warnings.push(text.to_owned());
-        }
+        self.warnings = self.present_warnings();
+    }
+
+    /// Its warnings; whether it is dark is told of the lights that it has now.
+    pub fn present_warnings(&self) -> Vec<String> {
+        const DARK: &str = "the scene has no light, so its light map is black: add lamps, or light from outside (sky, environment or \
+             default_sky)";
+        let is_dark = self.lights.iter().all(|light| light.strength() == Vec3::ZERO);
+        let others = self.warnings.iter().filter(|warning| *warning != DARK).cloned();
+        others.chain(is_dark.then(|| DARK.to_owned())).collect()
     }
 
     /// This scene with one more light.

@@ -47,6 +47,14 @@ pub struct Light {
     /// Its name.
     #[schema(example = "lamp")]
     pub name: String,
+    /// Index of its node in the uploaded file, of an emissive surface that of its object; absent for what was inserted.
+    #[schema(example = 5)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub node: Option<u32>,
+    /// `extras.id` of the node, where the file has one.
+    #[schema(example = "c04e")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub id: Option<String>,
     /// `emissive`, `point`, `spot`, `directional` or `environment`.
     #[schema(example = "point")]
     pub kind: String,

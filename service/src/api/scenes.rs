@@ -20,13 +20,13 @@ use super::paging::Page;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::{self, finite};
 use super::{Shared, etag, find_any_scene, find_scene, objects, require_serving};
-use crate::engine::LightMap;
+use crate::engine::{self, LightMap, World};
 use crate::jobs::budget::JobBudget;
 use crate::jobs::tell_scene;
 use crate::state::App;
 use crate::store::StoreError;
 use crate::store::records::SceneChange;
-use crate::store::scene::SceneEntry;
+use crate::store::scene::{SceneEntry, SceneState};
 
 /// Which page of a list.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -182,11 +182,11 @@ fn tell(app: &App, scene: &SceneEntry) -> types::Scene {
     // In this order: what is shown was accepted before.
     let (published, shown) = scene.shown();
     let (published, accepted) = (&*published, scene.accepted());
-    let world = &published.world;
+    let (world, state) = (&published.world, scene.state());
     types::Scene {
         id: scene.id.clone(),
         name: scene.name(),
-        state: scene.state().into(),
+        state: state.into(),
         mode: scene.mode,
         spacing: world.spacing(),
         texels_per_metre: world.atlas().map(|atlas| atlas.texels_per_metre()),
@@ -203,10 +203,13 @@ fn tell(app: &App, scene: &SceneEntry) -> types::Scene {
         published_edits: shown,
         unlit_edits: scene.unlit() as u64,
         objects: objects::tell(published, shown, &accepted),
-        lights: accepted.world.lights().map(|info| light(&info, &published.map)).collect(),
+        lights: accepted.world.lights().map(|info| light(&info, &accepted.world, &published.map)).collect(),
         layers: published.layers.iter().map(layers::describe).collect(),
         cameras: world.scene.cameras.iter().zip(0..).map(camera).collect(),
-        warnings: accepted.world.scene.warnings.clone(),
+        warnings: match state {
+            SceneState::Ready => accepted.world.scene.present_warnings(),
+            SceneState::Preparing | SceneState::Damaged => world.scene.warnings.clone(),
+        },
         degenerate_triangles: world.scene.degenerate_triangles as u64,
         current_job: current_job(app, scene),
         error: scene.error(),
@@ -219,11 +222,14 @@ fn to_target(target: JobBudget) -> Budget {
     Budget { samples_per_element: Some(samples_per_element), max_seconds, target_rmse }
 }
 
-fn light(info: &rebake_core::LightInfo<'_>, map: &LightMap) -> types::Light {
+fn light(info: &rebake_core::LightInfo<'_>, world: &World, map: &LightMap) -> types::Light {
     use rebake_core::scene::LightKind;
     let light = info.light;
+    let node = engine::node_of(&world.scene, light);
     let mut told = types::Light {
         name: light.name.clone(),
+        node: node.map(|node| node.index),
+        id: node.and_then(|node| node.id.as_deref()).map(str::to_owned),
         kind: info.kind.to_owned(),
         color: light.color.to_array(),
         intensity: light.intensity,

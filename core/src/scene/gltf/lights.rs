@@ -7,18 +7,18 @@ use glam::{DVec3, Vec3};
 use json::extensions::scene::khr_lights_punctual::{Light as JsonLight, Type};
 use json::validation::Checked;
 
-use super::nodes::PlacedNode;
+use super::nodes::{PlacedNode, source};
 use super::warnings::Warnings;
 use super::{LoadError, LoadLimits, LoadedObject, malformed, too_large};
 use crate::allowed::Allowed;
 use crate::scene::names::UniqueNames;
-use crate::scene::{ENVIRONMENT, Light, LightKind};
+use crate::scene::{ENVIRONMENT, Light, LightKind, NodeSource};
 
-/// Lights, and of those under an object's node: their names with that object's. Of punctual ones the nodes, by index.
+/// Lights, and of those under an object's node: their names with that object's. Of punctual ones the nodes.
 pub(super) struct Lights {
     pub(super) lights: Vec<Light>,
     pub(super) parents: BTreeMap<String, String>,
-    pub(super) nodes: BTreeMap<String, u32>,
+    pub(super) nodes: BTreeMap<String, NodeSource>,
 }
 
 /// Emissive lights in the order of the objects, then punctual ones in the order of the nodes. Names are unique.
@@ -52,7 +52,7 @@ pub(super) fn collect(
         if let Some(object) = node.object.and_then(|object| object_of.get(&object)) {
             parents.insert(name.clone(), (*object).to_owned());
         }
-        light_nodes.insert(name.clone(), node.index as u32);
+        light_nodes.insert(name.clone(), source(root, node.index));
         lights.push(read_punctual(light, name, node, &place, warnings)?);
     }
     if lights.len() > limits.max_lights {

@@ -38,7 +38,7 @@ const ROUNDING: f64 = 1e-5;
 /// Longest `extras.id` that is kept, bytes.
 const LONGEST_ID: usize = 256;
 
-/// What an object is told to come from. An `id` is a word or a whole number; anything else in `extras` is not ours.
+/// What an object or a light is told to come from. An `id` is a word or a whole number; anything else in `extras` is not ours.
 pub(super) fn source(root: &json::Root, index: usize) -> NodeSource {
     #[derive(serde::Deserialize)]
     struct Extras {

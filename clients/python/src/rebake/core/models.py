@@ -101,6 +101,10 @@ class LightInfo:
     outer_cone_angle: float | None = None
     angle: float | None = None
     rotation: float | None = None
+    #: Index of its node in the uploaded file, of an emissive surface that of its object; none for what was inserted.
+    node: int | None = None
+    #: `extras.id` of the node, where the file has one.
+    id: str | None = None
 
 
 @dataclass(frozen=True)

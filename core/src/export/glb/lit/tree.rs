@@ -114,7 +114,7 @@ impl<'a> Tree<'a> {
         }
         let mut lights = vec![None; file.nodes.len()];
         for light in scene.lights.iter().filter(|light| frame_of(light).is_some()) {
-            if let Some(place) = scene.light_nodes.get(&light.name).and_then(|index| place(*index)) {
+            if let Some(place) = scene.light_nodes.get(&light.name).and_then(|source| place(source.index)) {
                 lights[place] = Some(light);
             }
         }
