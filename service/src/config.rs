@@ -105,7 +105,7 @@ pub struct Limits {
     pub queued: usize,
     /// Finished jobs that are remembered.
     pub finished_jobs: usize,
-    /// Idempotency keys remembered per scene.
+    /// Idempotency keys remembered per scene, and as many of uploads.
     pub idempotency_keys: usize,
     /// Edit requests of a scene that can be taken back.
     pub undo_steps: usize,

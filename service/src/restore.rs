@@ -41,6 +41,7 @@ pub(crate) fn restore(app: &Arc<App>, disk: &Disk, saved: Saved) {
             tracing::error!(asset = id, %error, "an asset is lost");
         }
     }
+    saved.upload_keys.into_iter().for_each(|key| app.upload_keys.insert(key));
     let mut unbaked = Vec::new();
     for scene in saved.scenes {
         let (entry, is_unbaked) = restore_scene(app, disk, &scene);

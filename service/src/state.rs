@@ -17,6 +17,7 @@ use crate::saving::Saving;
 use crate::store::assets::Assets;
 use crate::store::disk::{Disk, Saved};
 use crate::store::scenes::Scenes;
+use crate::store::upload_keys::UploadKeys;
 use crate::store::{InMemory, Store, StoreError};
 
 /// Why the service cannot start.
@@ -62,6 +63,8 @@ pub(crate) struct App {
     pub(crate) scenes: Arc<Scenes>,
     /// What may be inserted, and pictures of skies.
     pub(crate) assets: Arc<Assets>,
+    /// What uploads came with that clients may send again.
+    pub(crate) upload_keys: Arc<UploadKeys>,
     /// The queue, what runs from it, and what clients are told of both.
     pub(crate) jobs: Arc<Jobs>,
     /// What survives a restart: a data directory, or nothing.
@@ -133,6 +136,7 @@ impl App {
             answers: Answers::new(limits.answer_bytes, timeouts.answer_stall, timeouts.answer_room),
             uploads: Arc::new(Semaphore::new(limits.concurrent_uploads)),
             streams: Arc::new(Semaphore::new(limits.streams)),
+            upload_keys: Arc::new(UploadKeys::new(limits.idempotency_keys)),
             pictures: Pictures::new(),
             phase: watch::Sender::new(Phase::Serving),
             jobs: Arc::new(jobs),

@@ -49,3 +49,4 @@ mod shutdown;
 mod skies;
 mod target;
 mod tiles;
+mod upload_keys;

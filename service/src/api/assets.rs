@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::extract::{ApiPath, ApiQuery, read_upload, require_content_type};
+use super::keys::{Keyed, Turn};
 use super::paging::Page;
 use super::problem::{ApiResult, Kind, Problem};
 use super::scenes::ListQuery;
@@ -58,6 +59,9 @@ pub(super) struct AssetPage {
 /// pixels; kept are at most 2048 × 1024, their means. The top is +y, the middle lies towards +x, the right half towards +z.
 #[utoipa::path(
     post, path = "/v1/assets", tag = "assets", operation_id = "create_asset",
+    params(
+        ("Idempotency-Key" = Option<String>, Header, description = "Refuses another file with the same key: repeating an upload is safe without one, too"),
+    ),
     request_body(content(
         (Vec<u8> = "model/gltf-binary"), (Vec<u8> = "image/x-exr"), (Vec<u8> = "image/vnd.radiance")
     ), description = "A `.glb`, or a `.gltf` with its files as a zip archive; or a picture of the sky"),
@@ -67,12 +71,20 @@ pub(super) async fn create(State(app): Shared, headers: HeaderMap, body: Body) -
     require_serving(&app)?;
     require_content_type(&headers, &[uploads::GLB_TYPES, PICTURE_TYPES].concat())?;
     let is_picture = require_content_type(&headers, PICTURE_TYPES).is_ok();
+    let turn = Turn::of(&app, &headers).await?;
     let (file, _room) = read_upload(&app, &headers, body).await?;
+    let key = Keyed::new(&app, turn, "asset".to_owned(), &file).await?;
+    let is_known = key.as_ref().map(Keyed::known).transpose()?.flatten().is_some();
     let permit = uploads::upload_permit(&app).await?;
     let its_app = app.clone();
     let add = move || {
         let _permit = permit;
-        add(&its_app, &file, is_picture || engine::is_sky(&file))
+        let added = add(&its_app, &file, is_picture || engine::is_sky(&file))?;
+        if let Some(record) = key.filter(|_| !is_known).map(|key| key.record(None, None)) {
+            its_app.store.upload_keyed(&record)?;
+            its_app.upload_keys.insert(record);
+        }
+        Ok(added)
     };
     app.compute.build(add).await?
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use axum::body::Body;
 use axum::extract::State;
-use axum::http::{HeaderMap, HeaderName, StatusCode, header};
+use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use rebake_core::allowed::Allowed;
@@ -14,7 +14,8 @@ use super::edit_beside::{to_budget, to_focus, to_tiles};
 use super::edit_names::check_names;
 use super::edit_parse::{Parsed, parse, to_edits, used_assets};
 use super::edit_types::{self, EditRequest};
-use super::extract::{ApiPath, ETags, read_body, require_content_type, text_header};
+use super::extract::{ApiPath, ETags, read_body, require_content_type};
+use super::keys::{idempotency_key, reused};
 use super::layers;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::{Job, to_event_data};
@@ -33,8 +34,6 @@ use crate::store::history::{self, History};
 use crate::store::lighting::{Sequence, Unlit};
 use crate::store::records::{Accepted, EditRecord, KeyRecord};
 use crate::store::scene::{Head, SceneEntry};
-
-static IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
 
 /// Edits a scene. The edit is checked against the scene with all edits accepted before, takes effect as a unit or not
 /// at all, and is lit by the job that is answered.
@@ -88,7 +87,7 @@ pub(super) async fn create(
     }
     if let Some(known) = key.as_ref().and_then(|key| head.keys.get(key)) {
         if known.body_hash != body_hash {
-            return Err(Problem::new(Kind::KeyReused, "this Idempotency-Key came with another body before"));
+            return Err(reused());
         }
         let answer = match app.jobs.get(known.job) {
             Some((job, about)) => to_event_data(&Job::new(&app.ids, &job, &about)),
@@ -258,18 +257,6 @@ pub fn read_focus(focus: &Value, world: &World) -> Result<Focus, String> {
     let focus: edit_types::Focus =
         serde_path_to_error::deserialize(focus).map_err(|error| format!("focus: {error}"))?;
     to_focus(&focus, world).map_err(|problem| problem.to_string())
-}
-
-fn idempotency_key(headers: &HeaderMap) -> ApiResult<Option<String>> {
-    const MAX_CHARS: usize = 255;
-    match text_header(headers, &IDEMPOTENCY_KEY)? {
-        None => Ok(None),
-        Some(key) if (1..=MAX_CHARS).contains(&key.len()) => Ok(Some(key.to_owned())),
-        Some(_) => {
-            let reason = format!("has to have 1 to {MAX_CHARS} characters");
-            Err(Problem::field(Kind::BadRequest, "Idempotency-Key", reason))
-        }
-    }
 }
 
 fn accepted(job: &str, answer: &Arc<str>) -> Response {

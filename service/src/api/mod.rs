@@ -27,6 +27,7 @@ mod health;
 mod history;
 mod job_types;
 mod jobs;
+mod keys;
 mod layers;
 mod light_types;
 mod lightmap;

@@ -151,6 +151,7 @@ kinds! {
     TooManyAssets "too-many-assets" CONFLICT "Too many assets" "The service holds as many assets, or bytes of assets, as it may.";
     AssetNeeded "asset-needed" CONFLICT "Asset needed" "A scene, or its history, needs the asset; delete the scene first.";
     VersionAhead "version-ahead" CONFLICT "Version ahead" "The client's version is newer than the scene's: it belongs to something else. Start over from version 0.";
+    SceneGone "scene-gone" GONE "Scene gone" "The scene that was uploaded with this Idempotency-Key was deleted; another key uploads another one.";
     VersionForgotten "version-forgotten" GONE "Version forgotten" "What is asked for needs a version, or a delta between versions, that is not kept any more.";
     PreconditionFailed "precondition-failed" PRECONDITION_FAILED "Precondition failed" "The scene has accepted other edits than If-Match names.";
     PayloadTooLarge "payload-too-large" PAYLOAD_TOO_LARGE "Payload too large" "The body is larger than the service takes.";

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
-use axum::http::{HeaderMap, StatusCode, header};
+use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use jiff::Timestamp;
@@ -14,6 +14,7 @@ use tokio::sync::OwnedSemaphorePermit;
 
 use super::checks::check_strength;
 use super::extract::{ApiQuery, read_upload, require_content_type};
+use super::keys::{Keyed, Turn};
 use super::prepare::{Kept, Outline, build_world, layer_bytes};
 use super::problem::{ApiResult, Kind, Problem};
 use super::scenes::scene_json;
@@ -49,6 +50,7 @@ pub(super) const GLB_TYPES: &[&str] =
 pub(super) async fn create(
     State(app): Shared,
     ApiQuery(query): ApiQuery<CreateQuery>,
+    uri: Uri,
     headers: HeaderMap,
     body: Body,
 ) -> ApiResult<Response> {
@@ -60,13 +62,30 @@ pub(super) async fn create(
         return plan(&app, options, &headers, body).await;
     }
     let full = || Problem::new(Kind::TooManyScenes, format!("there are {} scenes", app.config.limits.scenes));
-    let reservation = app.scenes.reserve(app.config.limits.scenes).ok_or_else(full)?;
+    let turn = Turn::of(&app, &headers).await?;
+    let reservation = app.scenes.reserve(app.config.limits.scenes);
+    if reservation.is_none() && !turn.as_ref().is_some_and(Turn::is_known) {
+        return Err(full());
+    }
     let (glb, _room) = read_upload(&app, &headers, body).await?;
+    let key = Keyed::new(&app, turn, format!("scene?{}", uri.query().unwrap_or_default()), &glb).await?;
+    if let Some(known) = key.as_ref().map(Keyed::known).transpose()?.flatten() {
+        drop(reservation);
+        let gone = || Problem::new(Kind::SceneGone, "the scene of this Idempotency-Key was deleted");
+        let scene = known.scene.and_then(|number| app.scenes.get(number)).ok_or_else(gone)?;
+        return created(&app, &scene, known.job.map(|job| app.ids.job(job))).await;
+    }
+    let reservation = reservation.ok_or_else(full)?;
     let permit = upload_permit(&app).await?;
-    let upload = Upload { reservation, options: Arc::new(options), glb };
+    let upload = Upload { reservation, options: Arc::new(options), glb, key };
     let (scene, bake) = prepare::create(&app, upload, permit).await?;
+    created(&app, &scene, bake).await
+}
+
+/// The answer to an upload: the scene and where it is.
+async fn created(app: &Arc<App>, scene: &Arc<SceneEntry>, bake: Option<String>) -> ApiResult<Response> {
     let location = format!("/v1/scenes/{}", scene.id);
-    let (accepted, json) = scene_json(&app, &scene, bake).await?;
+    let (accepted, json) = scene_json(app, scene, bake).await?;
     let headers = [(header::LOCATION, location), (header::ETAG, etag(accepted))];
     Ok((StatusCode::CREATED, headers, json).into_response())
 }
@@ -100,7 +119,7 @@ async fn plan(app: &Arc<App>, options: Options, headers: &HeaderMap, body: Body)
 /// being prepared, and its bake waits for that.
 pub(super) fn keep(
     app: &Arc<App>,
-    Upload { reservation, options, glb }: &Upload,
+    Upload { reservation, options, glb, key }: &Upload,
     outline: &Outline,
     world: Option<World>,
 ) -> ApiResult<Kept> {
@@ -150,10 +169,13 @@ pub(super) fn keep(
     let skies: Vec<&str> = record.outside.sky.iter().map(|sky| sky.asset.as_str()).collect();
     let gone = |asset: &str| Problem::field(Kind::UnknownAsset, "sky", format!("the asset {asset:?} was deleted"));
     app.assets.need(scene.number, &skies).map_err(gone)?;
-    let created = app.store.scene_created(scene.number, &record, glb, bake.as_ref().map(|(_, job)| job));
+    let job = bake.as_ref().map(|(_, job)| job);
+    let key = key.as_ref().map(|key| key.record(Some(scene.number), job.map(|job| job.job.number)));
+    let created = app.store.scene_created(scene.number, &record, glb, job, key.as_ref());
     created.inspect_err(|_| app.assets.release(scene.number))?;
     scene.published().objects();
     app.scenes.insert(scene.clone());
+    key.into_iter().for_each(|key| app.upload_keys.insert(key));
     let bake = bake.map(|(ticket, job)| app.ids.job(ticket.submit(&scene, &job, || ()).number));
     drop(head);
     Ok((scene, bake))
@@ -164,6 +186,7 @@ pub(super) struct Upload {
     reservation: Reservation,
     pub(super) options: Arc<Options>,
     pub(super) glb: Bytes,
+    key: Option<Keyed>,
 }
 
 /// Lights and emissive surfaces of a file are bounded as those of edits are.

@@ -109,7 +109,7 @@ impl Fetched {
     /// Keeps the files as those of a scene.
     pub(super) fn keep(&self, store: &dyn Store, scene: SceneNumber) -> Result<(), StoreError> {
         self.assets.iter().try_for_each(|(id, file)| store.asset_added(id, file))?;
-        store.scene_created(scene, &self.manifest.record, &self.upload, None)
+        store.scene_created(scene, &self.manifest.record, &self.upload, None, None)
     }
 
     /// The world as it came to be: seconds for large scenes.

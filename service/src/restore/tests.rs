@@ -42,7 +42,7 @@ fn with_plates() -> TempDir {
             target: None,
             created_at: Timestamp::now(),
         };
-        disk.scene_created(number, &record, &glb, None).unwrap();
+        disk.scene_created(number, &record, &glb, None, None).unwrap();
     }
     disk.close();
     directory

@@ -21,6 +21,7 @@ pub(crate) mod records;
 pub(crate) mod scene;
 pub(crate) mod scenes;
 mod stored_job;
+pub(crate) mod upload_keys;
 pub(crate) mod versions;
 
 use std::collections::HashMap;
@@ -32,7 +33,7 @@ use bytes::Bytes;
 
 use crate::jobs::queue::{JobNumber, SceneNumber};
 use lighting::Sequence;
-use records::{Accepted, JobRecord, LightRecord, Origin, SceneChange, SceneRecord};
+use records::{Accepted, JobRecord, LightRecord, Origin, SceneChange, SceneRecord, UploadRecord};
 
 /// Something could not be kept or found again.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -86,7 +87,10 @@ pub(crate) trait Store: Send + Sync + Debug {
         scene: &SceneRecord,
         glb: &[u8],
         bake: Option<&JobRecord>,
+        key: Option<&UploadRecord>,
     ) -> Result<(), StoreError>;
+    /// An upload with an idempotency key that made no scene.
+    fn upload_keyed(&self, key: &UploadRecord) -> Result<(), StoreError>;
     fn scene_changed(&self, number: SceneNumber, change: &SceneChange<'_>) -> Result<(), StoreError>;
     fn scene_deleted(&self, number: SceneNumber) -> Result<(), StoreError>;
     fn asset_added(&self, id: &str, glb: &[u8]) -> Result<(), StoreError>;
@@ -178,6 +182,7 @@ impl Store for InMemory {
         scene: &SceneRecord,
         glb: &[u8],
         _bake: Option<&JobRecord>,
+        _key: Option<&UploadRecord>,
     ) -> Result<(), StoreError> {
         if let Some(mut origins) = self.origins() {
             origins.insert(number, Origin { record: scene.clone(), edits: Vec::new() });
@@ -185,6 +190,10 @@ impl Store for InMemory {
         let mut files = self.files();
         let gone = files.uploads.insert(number, Bytes::copy_from_slice(glb));
         files.count(glb.len(), gone);
+        Ok(())
+    }
+
+    fn upload_keyed(&self, _key: &UploadRecord) -> Result<(), StoreError> {
         Ok(())
     }
 

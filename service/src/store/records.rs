@@ -216,6 +216,18 @@ pub(crate) struct KeyRecord {
     pub(crate) answer: Arc<str>,
 }
 
+/// An idempotency key of an upload, with what that made.
+#[derive(Clone, Debug)]
+pub(crate) struct UploadRecord {
+    pub(crate) key: String,
+    /// Of the file and how it was to be taken.
+    pub(crate) hash: blake3::Hash,
+    /// None of an asset, which goes by what is in it.
+    pub(crate) scene: Option<SceneNumber>,
+    /// What bakes the scene.
+    pub(crate) job: Option<JobNumber>,
+}
+
 /// All that one accepted request changes, kept as a unit.
 #[derive(Clone, Debug)]
 pub(crate) struct Accepted<'a> {

@@ -12,7 +12,7 @@ use crate::engine::LightMap;
 use crate::jobs::queue::{JobNumber, SceneNumber};
 use crate::store::StoreError;
 use crate::store::lighting::Sequence;
-use crate::store::records::{JobRecord, KeyRecord, LightRecord, LightState, Origin, SceneRecord};
+use crate::store::records::{JobRecord, KeyRecord, LightRecord, LightState, Origin, SceneRecord, UploadRecord};
 
 /// All that was kept, files aside.
 pub(crate) struct Saved {
@@ -23,6 +23,8 @@ pub(crate) struct Saved {
     pub(crate) newest_scene: SceneNumber,
     pub(crate) newest_job: JobNumber,
     pub(crate) assets: Vec<String>,
+    /// The oldest first.
+    pub(crate) upload_keys: Vec<UploadRecord>,
     pub(crate) scenes: Vec<SavedScene>,
     /// In the order of arrival. An error: the record cannot be read.
     pub(crate) jobs: Vec<Result<JobRecord, StoreError>>,
@@ -76,6 +78,7 @@ impl Disk {
             newest_scene: schema::number(connection, "newest_scene")?,
             newest_job: schema::number(connection, "newest_job")?,
             assets,
+            upload_keys: upload_keys(connection)?,
             scenes: scenes(connection)?,
             jobs: jobs(connection)?,
         })
@@ -228,13 +231,25 @@ fn keys(connection: &Connection, scene: SceneNumber) -> Result<Vec<KeyRecord>, S
     let sql = "SELECT key, body_hash, job, answer FROM keys WHERE scene = ?1 ORDER BY number";
     let mut select = connection.prepare_cached(sql)?;
     let rows = select.query_map([scene as i64], |row| {
-        let hash: String = row.get(1)?;
         let (key, job, answer): (String, i64, String) = (row.get(0)?, row.get(2)?, row.get(3)?);
-        // A hash that cannot be read matches no body: the key is refused rather than used twice.
-        let body_hash = blake3::Hash::from_hex(hash).unwrap_or_else(|_| blake3::Hash::from_bytes([0; 32]));
-        Ok(KeyRecord { key, body_hash, job: job as JobNumber, answer: answer.into() })
+        Ok(KeyRecord { key, body_hash: hash(row, 1)?, job: job as JobNumber, answer: answer.into() })
     })?;
     Ok(readable(rows, "keys")?.0)
+}
+
+fn upload_keys(connection: &Connection) -> Result<Vec<UploadRecord>, StoreError> {
+    let mut select = connection.prepare("SELECT key, hash, scene, job FROM upload_keys ORDER BY number")?;
+    let rows = select.query_map([], |row| {
+        let number = |column| Ok::<_, rusqlite::Error>(row.get::<_, Option<i64>>(column)?.map(|number| number as u64));
+        Ok(UploadRecord { key: row.get(0)?, hash: hash(row, 1)?, scene: number(2)?, job: number(3)? })
+    })?;
+    Ok(readable(rows, "upload keys")?.0)
+}
+
+/// What came with a key. One that cannot be read matches nothing: the key is refused rather than used twice.
+fn hash(row: &rusqlite::Row<'_>, column: usize) -> rusqlite::Result<blake3::Hash> {
+    let hash: String = row.get(column)?;
+    Ok(blake3::Hash::from_hex(hash).unwrap_or_else(|_| blake3::Hash::from_bytes([0; 32])))
 }
 
 fn jobs(connection: &Connection) -> Result<Vec<Result<JobRecord, StoreError>>, StoreError> {

@@ -127,7 +127,7 @@ mod tests {
             groups: Default::default(),
             created_at,
         };
-        disk.scene_created(1, &scene, b"glb", Some(&job(1, 1))).unwrap();
+        disk.scene_created(1, &scene, b"glb", Some(&job(1, 1)), None).unwrap();
         disk.job_changed(&job(2, 1)).unwrap();
         let mut done = job(1, 1);
         done.job.end(Outcome::Succeeded, Timestamp::now());

@@ -7,12 +7,15 @@ use super::super::StoreError;
 /// Grows with every change of the tables.
 const VERSION: i64 = 1;
 
-/// What is told of an accepted edit beside its body. Made where it is missing: the tables of earlier builds lack it, and
-/// those builds do not mind.
-const HISTORY: &str = "
+/// What is told of an accepted edit beside its body, and idempotency keys of uploads. Made where they are missing: the
+/// tables of earlier builds lack them, and those builds do not mind.
+const ADDED: &str = "
 CREATE TABLE IF NOT EXISTS history (
     scene INTEGER NOT NULL REFERENCES scenes ON DELETE CASCADE, sequence INTEGER NOT NULL, job INTEGER NOT NULL,
     accepted_at TEXT NOT NULL, PRIMARY KEY (scene, sequence)) WITHOUT ROWID;
+-- `scene`: no reference, since a key outlives what it made.
+CREATE TABLE IF NOT EXISTS upload_keys (
+    number INTEGER PRIMARY KEY, key TEXT NOT NULL UNIQUE, hash TEXT NOT NULL, scene INTEGER, job INTEGER);
 ";
 
 const TABLES: &str = "
@@ -54,11 +57,11 @@ pub(super) fn prepare(connection: &mut Connection, has_files: bool) -> Result<()
         0 => {
             let transaction = connection.transaction()?;
             transaction.execute_batch(TABLES)?;
-            transaction.execute_batch(HISTORY)?;
+            transaction.execute_batch(ADDED)?;
             transaction.pragma_update(None, "user_version", VERSION)?;
             Ok(transaction.commit()?)
         }
-        VERSION => Ok(connection.execute_batch(HISTORY)?),
+        VERSION => Ok(connection.execute_batch(ADDED)?),
         other => {
             let detail = format!("it has version {other}, this program knows up to {VERSION}");
             Err(StoreError::damaged("the database is of another version of this program", detail))

@@ -9,7 +9,9 @@ use super::blobs::{BlobId, Pin};
 use super::{Disk, codec, open, schema, to_json};
 use crate::jobs::queue::{JobNumber, SceneNumber};
 use crate::store::lighting::Sequence;
-use crate::store::records::{Accepted, JobRecord, KeyRecord, LightRecord, Origin, SceneChange, SceneRecord};
+use crate::store::records::{
+    Accepted, JobRecord, KeyRecord, LightRecord, Origin, SceneChange, SceneRecord, UploadRecord,
+};
 use crate::store::versions::FIRST_RESERVE;
 use crate::store::{Store, StoreError};
 
@@ -46,6 +48,7 @@ impl Store for Disk {
         scene: &SceneRecord,
         glb: &[u8],
         bake: Option<&JobRecord>,
+        key: Option<&UploadRecord>,
     ) -> Result<(), StoreError> {
         let record = to_json(scene)?;
         self.with_file(glb, |t, blob| {
@@ -53,8 +56,13 @@ impl Store for Disk {
             let jobs = i64::from(bake.is_some());
             t.execute(sql, (number as i64, record, blob, jobs, FIRST_RESERVE as i64))?;
             schema::raise(t, "newest_scene", number)?;
+            key.map_or(Ok(()), |key| put_upload_key(t, key, self.max_keys))?;
             bake.map_or(Ok(()), |job| put_job(t, job))
         })
+    }
+
+    fn upload_keyed(&self, key: &UploadRecord) -> Result<(), StoreError> {
+        self.transact(|t| put_upload_key(t, key, self.max_keys))
     }
 
     fn scene_changed(&self, number: SceneNumber, change: &SceneChange<'_>) -> Result<(), StoreError> {
@@ -268,5 +276,15 @@ fn put_key(t: &Transaction<'_>, scene: i64, key: &KeyRecord, max_keys: usize) ->
     let sql = "DELETE FROM keys WHERE scene = ?1 AND number <=
         (SELECT number FROM keys WHERE scene = ?1 ORDER BY number DESC LIMIT 1 OFFSET ?2)";
     t.execute(sql, (scene, max_keys as i64))?;
+    Ok(())
+}
+
+fn put_upload_key(t: &Transaction<'_>, key: &UploadRecord, max_keys: usize) -> Result<(), StoreError> {
+    let sql = "INSERT OR IGNORE INTO upload_keys (key, hash, scene, job) VALUES (?1, ?2, ?3, ?4)";
+    let hash = key.hash.to_hex();
+    t.execute(sql, (&key.key, hash.as_str(), key.scene.map(|n| n as i64), key.job.map(|n| n as i64)))?;
+    let sql = "DELETE FROM upload_keys WHERE number <=
+        (SELECT number FROM upload_keys ORDER BY number DESC LIMIT 1 OFFSET ?1)";
+    t.execute(sql, [max_keys as i64])?;
     Ok(())
 }
