@@ -57,7 +57,7 @@ fn register_state(app: &App, registry: &mut Registry) {
         let bytes = published.world.memory_bytes() + published.memory_bytes();
         memory.get_or_create(&label).set(bytes as u64);
         version.get_or_create(&label).set(published.version);
-        error.get_or_create(&label).set(published.estimated_rmse.map_or(f64::NAN, f64::from));
+        error.get_or_create(&label).set(published.stated_rmse().map_or(f64::NAN, f64::from));
     }
     registry.register_with_unit("scene_memory", "Memory of each scene", Unit::Bytes, memory);
     registry.register("scene_version", "Version of each light map", version);

@@ -311,6 +311,7 @@ async fn a_delta_between_two_versions_is_for_good() {
     let (server, script) = Server::scripted().await;
     let scene = server.room("").await;
     let mut maps = vec![Follower::default()];
+    let stated = |version: u64| (1.0 / (4 * version) as f32).to_string();
     for version in 1..=3_u64 {
         script.run(&[Step::Round]);
         server.client.follow(scene["id"].as_str().unwrap()).reach(version).await.unwrap();
@@ -327,12 +328,17 @@ async fn a_delta_between_two_versions_is_for_good() {
             assert_eq!(answer.header("cache-control"), "public, max-age=31536000, immutable");
             assert_eq!(answer.header("etag"), format!("\"{from}-{version}\""));
             assert_eq!(answer.header("x-rebake-version"), version.to_string());
+            assert_eq!(answer.header("x-rebake-estimated-rmse"), stated(version));
         }
         maps.push(now);
     }
     // What was asked for once stays as it was.
     let mut follower = Follower { map: maps[1].map.clone(), version: 1, ..Follower::default() };
-    follower.take(&between(&server, &scene, "1-2").await.body);
+    let kept = between(&server, &scene, "1-2").await;
+    assert_eq!(kept.header("x-rebake-estimated-rmse"), stated(2));
+    follower.take(&kept.body);
+    let newest = server.get(&format!("{}/lightmap/deltas?since=1", path_of(&scene))).await;
+    assert_eq!(newest.header("x-rebake-estimated-rmse"), stated(3));
     assert_eq!((follower.version, follower.bits()), (2, maps[2].bits()));
     let nothing = between(&server, &scene, "2-2").await;
     assert_eq!((nothing.status.as_u16(), nothing.body.len()), (200, 0));

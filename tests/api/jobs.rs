@@ -97,10 +97,12 @@ async fn a_canceled_queued_edit_stays_and_is_lit_by_the_next_job() {
     let now = server.get(&path_of(&scene)).await.json(200);
     assert_eq!(now["objects"].as_array().unwrap().len(), 1);
     assert_eq!(now["unlit_edits"], 1);
+    assert_eq!(now["estimated_rmse"], json!(null), "the light is that of another scene");
     let rest = server.edit(&scene, &json!({ "edits": [] })).await;
     script.run(&[Step::Round, Step::Finish]);
     assert_eq!(server.end_of(&rest).await["state"], "succeeded");
-    assert_eq!(server.get(&path_of(&scene)).await.json(200)["unlit_edits"], 0);
+    let now = server.get(&path_of(&scene)).await.json(200);
+    assert_eq!((&now["unlit_edits"], now["estimated_rmse"].is_number()), (&json!(0), true));
     server.stop().await;
 }
 

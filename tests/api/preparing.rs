@@ -90,6 +90,7 @@ async fn requests_do_not_wait_for_ever() {
 async fn a_scene_that_cannot_be_built_says_why() {
     let (server, open) = gated(|_| ()).await;
     let scene = server.post_glb("/v1/scenes", glb::room().bytes()).await.json(201);
+    let mut events = server.client.scene_events(scene["id"].as_str().unwrap(), None).await.unwrap();
     open.send(Some(WorldError::TooLarge { what: "elements", limit: 7, spacing: 0.5 })).unwrap();
     let job = server.end_of(scene["current_job"].as_str().unwrap()).await;
     assert_eq!(job["state"], "failed");
@@ -98,6 +99,14 @@ async fn a_scene_that_cannot_be_built_says_why() {
     let after = server.get(&path_of(&scene)).await.json(200);
     assert_eq!((&after["state"], &after["error"]), (&json!("damaged"), &json!(reason)));
     assert_eq!(server.get(&format!("{}/elements", path_of(&scene))).await.problem(500, "scene-damaged"), reason);
+    loop {
+        let (kind, _, data) = next_event(&mut events).await.expect("who listens is told");
+        if kind == "scene" {
+            assert_eq!(data["what"], "damaged");
+            break;
+        }
+    }
+    drop(events);
     server.delete(&path_of(&scene)).await;
     assert_eq!(server.get("/v1/scenes").await.json(200)["items"], json!([]));
     server.stop().await;

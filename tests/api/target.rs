@@ -247,3 +247,28 @@ async fn a_dry_run_tells_what_the_upload_takes_and_keeps_nothing() {
     refused.problem(400, "malformed-file");
     server.stop().await;
 }
+
+#[tokio::test]
+async fn a_canceled_edit_is_taken_up_by_a_new_target_or_an_empty_edit() {
+    let (server, script) = Server::scripted().await;
+    for takes_up in ["target", "edit"] {
+        let (scene, hold) = server.held_room(&script).await;
+        let edit = server.edit(&scene, &json!({ "op": "remove", "objects": ["cupboard"] })).await;
+        server.delete(&format!("/v1/jobs/{edit}")).await.json(200);
+        script.run(&[Step::Round, Step::Finish]);
+        server.end_of(&hold).await;
+        let mut events = server.client.scene_events(scene["id"].as_str().unwrap(), None).await.unwrap();
+        let job = match takes_up {
+            "target" => {
+                patch(&server, &scene, &json!({ "target": { "samples_per_element": 4 } })).await.json(200);
+                refining(&server, &mut events).await
+            }
+            _ => server.edit(&scene, &json!({ "edits": [] })).await,
+        };
+        script.run(&[Step::Round, Step::Finish]);
+        assert_eq!(server.end_of(&job).await["state"], "succeeded", "{takes_up}");
+        let now = server.get(&path_of(&scene)).await.json(200);
+        assert_eq!((&now["unlit_edits"], &now["published_edits"]), (&json!(0), &json!(2)), "{takes_up}");
+    }
+    server.stop().await;
+}

@@ -764,7 +764,10 @@ export interface Scene {
   triangles: number;
   /** Memory that the scene holds. */
   memory_bytes: number;
-  /** Stated error of the light that the map holds (`mode`): area-weighted RMSE (irradiance / π). */
+  /**
+   * Stated error of the light that the map holds (`mode`): area-weighted RMSE (irradiance / π). Null where nothing is
+   * known of it, as of an estimate, or of light from before an edit.
+   */
   estimated_rmse?: number | null;
   /**
    * Its errors: of chance, and of the distance between elements, which is measured while light is computed. Null after an
@@ -808,7 +811,7 @@ export interface Scene {
 }
 
 /** What happened to a scene. */
-export type SceneChange = "edited" | "deleted";
+export type SceneChange = "edited" | "damaged" | "deleted";
 
 /** Data of a `scene` event. */
 export interface SceneEvent {
@@ -992,7 +995,7 @@ export interface SnapshotEvent {
    * geometry.
    */
   samples_per_element?: number | null;
-  /** Stated error of this version. */
+  /** Stated error of this version; null where old light was carried over to another scene, or an estimate is shown. */
   estimated_rmse?: number | null;
   /** Its errors: of chance, and of the distance between elements. */
   light_error: LightError;

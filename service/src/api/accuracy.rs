@@ -123,7 +123,7 @@ fn report(published: &Published, options: &ResolutionOptions, watch: &Watch) -> 
         error: LightError { noise, resolution: resolution.rmse() },
         points: resolution.points,
     });
-    let noise = published.estimated_rmse.filter(|_| published.is_known()).and_then(finite);
+    let noise = published.stated_rmse().and_then(finite);
     Some(ErrorReport {
         version: *version,
         part: published.mode().into(),

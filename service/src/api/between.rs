@@ -11,8 +11,9 @@ use rebake_core::delta;
 use super::coding::encode_body;
 use super::extract::{ApiPath, Coding, ETags};
 use super::problem::{ApiResult, Kind, Problem};
-use super::versioned::VERSION;
+use super::versioned::{ESTIMATED_RMSE, VERSION};
 use super::{Shared, find_scene};
+use crate::store::deltas::KeptDelta;
 use crate::store::scene::SceneEntry;
 use crate::store::versions::Published;
 
@@ -37,6 +38,7 @@ const KEPT_MAPS: usize = 4;
                 ("Cache-Control" = String, description = "A year, `immutable`; `private` where the service asks for tokens"),
                 ("ETag" = String, description = "Both versions, and the coding"),
                 ("X-Rebake-Version" = String, description = "`to`"),
+                ("X-Rebake-Estimated-Rmse" = String, description = "Stated error of the light map at `to`; absent where nothing is known of it, and between equal versions"),
             )),
         (status = 304, description = "The client has it"),
     )
@@ -64,21 +66,22 @@ pub(super) async fn get(
         return Ok((StatusCode::NOT_MODIFIED, about).into_response());
     }
     let encode = move || {
-        let frame = match found {
-            Found::Kept(frame) => frame,
+        let KeptDelta { frame, stated } = match found {
+            Found::Kept(delta) => delta,
             Found::Present(published) => make(&scene, &published, from),
         };
-        encode_body(coding, frame)
+        encode_body(coding, frame).map(|body| (body, stated))
     };
-    let body = app.compute.answer(encode).await?.map_err(Problem::internal)?;
+    let (body, stated) = app.compute.answer(encode).await?.map_err(Problem::internal)?;
+    let stated = stated.map(|stated| [(ESTIMATED_RMSE.clone(), stated.to_string())]);
     app.metrics.delta_bytes.inc_by(body.len() as u64);
-    Ok((about, [(header::CONTENT_TYPE, delta::CONTENT_TYPE)], coding.headers(), body).into_response())
+    Ok((about, stated, [(header::CONTENT_TYPE, delta::CONTENT_TYPE)], coding.headers(), body).into_response())
 }
 
 /// Where a delta comes from.
 enum Found {
     /// It was made before.
-    Kept(Bytes),
+    Kept(KeptDelta),
     /// From the present map.
     Present(Arc<Published>),
 }
@@ -93,7 +96,7 @@ fn find(scene: &SceneEntry, from: u64, to: u64) -> ApiResult<Found> {
     // Lost in a crash: no client had it, or it starts over.
     let is_known = published.knows(from) && published.knows(to);
     if is_known && from == to {
-        return Ok(Found::Kept(Bytes::new()));
+        return Ok(Found::Kept(KeptDelta { frame: Bytes::new(), stated: None }));
     }
     if is_known && to == present {
         return Ok(Found::Present(published));
@@ -103,14 +106,14 @@ fn find(scene: &SceneEntry, from: u64, to: u64) -> ApiResult<Found> {
     kept.map(Found::Kept).ok_or_else(|| Problem::new(Kind::VersionForgotten, text()))
 }
 
-fn make(scene: &SceneEntry, published: &Published, from: u64) -> Bytes {
+fn make(scene: &SceneEntry, published: &Published, from: u64) -> KeptDelta {
+    let make = || KeptDelta { frame: published.delta(from).encode().into(), stated: published.stated_rmse() };
     // Whole maps would push out what changes between them, and who has nothing asks for the newest as well.
     if from == 0 {
-        return published.delta(0).encode().into();
+        return make();
     }
     let most_bytes = KEPT_MAPS * size_of_val(published.values());
-    let encode = || published.delta(from).encode().into();
-    scene.deltas.find_or_make((from, published.version), most_bytes, encode)
+    scene.deltas.find_or_make((from, published.version), most_bytes, make)
 }
 
 /// One spelling of each pair: caches take another for something else.

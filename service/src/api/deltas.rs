@@ -21,7 +21,7 @@ use super::filter::view;
 use super::layers;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types::PartName;
-use super::versioned::VERSION;
+use super::versioned::{ESTIMATED_RMSE, VERSION};
 use super::{Shared, etag, find_scene};
 use crate::filter::Filter;
 use crate::state::{App, Phase};
@@ -72,7 +72,8 @@ pub(super) struct DeltaQuery {
 #[utoipa::path(
     get, path = "/v1/scenes/{scene}/lightmap/deltas", tag = "light map", operation_id = "get_deltas",
     params(("scene" = String, Path, description = "The scene's id"), DeltaQuery),
-    responses((status = 200, body = Vec<u8>, content_type = "application/vnd.rebake.delta", description = "Frames; none where the client is up to date"))
+    responses((status = 200, body = Vec<u8>, content_type = "application/vnd.rebake.delta", description = "Frames; none where the client is up to date",
+        headers(("X-Rebake-Estimated-Rmse" = String, description = "Without `follow`, `layer`, `part` and `filter`: stated error of the light map at `ETag`. With `follow` the scene's `snapshot` events tell that of each version"))))
 )]
 pub(super) async fn get(
     State(app): Shared,
@@ -83,7 +84,7 @@ pub(super) async fn get(
     let scene = find_scene(&app, &id).await?;
     let follow = query.follow.unwrap_or(false);
     let published = scene.published();
-    let version = published.version;
+    let (version, stated) = (published.version, published.stated_rmse());
     let layer = query.layer.as_deref().map(|text| layers::find(&published, text)).transpose()?;
     let part = query.part.map(|part| {
         let no_light =
@@ -108,6 +109,10 @@ pub(super) async fn get(
     head.insert(header::VARY, header::HeaderValue::from_static("accept-encoding"));
     head.insert(HeaderName::from_static("x-accel-buffering"), header::HeaderValue::from_static("no"));
     if !follow {
+        let is_map = query.layer.is_none() && whole.is_none() && query.filter.unwrap_or_default() == Filter::None;
+        if let Some(stated) = stated.filter(|_| is_map) {
+            head.insert(ESTIMATED_RMSE.clone(), stated.to_string().parse().map_err(Problem::internal)?);
+        }
         let value = |text: String| header::HeaderValue::from_str(&text).map_err(Problem::internal);
         head.insert(header::ETAG, value(etag(version))?);
         head.insert(VERSION.clone(), value(version.to_string())?);

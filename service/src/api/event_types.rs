@@ -21,7 +21,7 @@ pub struct SnapshotEvent {
     /// Of the rounds so far, of the job or of this spell of idle time; absent where old light was carried over to new
     /// geometry.
     pub samples_per_element: Option<u32>,
-    /// Stated error of this version.
+    /// Stated error of this version; null where old light was carried over to another scene, or an estimate is shown.
     pub estimated_rmse: Option<f32>,
     /// Its errors: of chance, and of the distance between elements.
     pub light_error: LightError,
@@ -33,6 +33,8 @@ pub struct SnapshotEvent {
 pub enum SceneChange {
     /// Its objects, lights or elements changed.
     Edited,
+    /// It was being prepared, and cannot be built: its `error` says why.
+    Damaged,
     /// It is gone.
     Deleted,
 }

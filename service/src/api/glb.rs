@@ -83,7 +83,7 @@ pub(super) async fn glb(
         let originals = files.open()?;
         let (values, _) = lightmap::values(&published, &chosen).map_err(Problem::internal)?;
         let values = lightmap::finite(&values);
-        let about = LightAbout { version: Some(published.version), estimated_rmse: published.estimated_rmse };
+        let about = LightAbout { version: Some(published.version), estimated_rmse: published.stated_rmse() };
         let atlas = atlas.as_deref();
         let world = &published.world;
         let lit = LitScene { world, atlas, values: &values, originals: &originals, unlit, about };

@@ -9,10 +9,12 @@ use tokio::time::{Instant, timeout_at};
 
 use super::atlas::atlas_problem;
 use super::problem::{ApiResult, Kind, Problem};
+use super::types::SceneChange;
 use super::upload_query::Options;
 use super::uploads::{Upload, check_strengths, keep, load_problem, memory_problem};
 use super::{layers, skies};
 use crate::engine::{self, Density, Plan, Scene, SurfaceError, World, WorldError};
+use crate::jobs::tell_scene;
 use crate::memory;
 use crate::state::App;
 use crate::store::layers::LAYER_BYTES;
@@ -91,6 +93,7 @@ fn finish(app: &Arc<App>, scene: &Arc<SceneEntry>, built: ApiResult<World>) {
             tracing::warn!(scene = scene.id, error, "cannot be prepared");
             scene.set_damaged(error.clone());
             drop(head);
+            tell_scene(scene, SceneChange::Damaged, &scene.published());
             app.jobs.scene_failed(scene, &error);
         }
     }

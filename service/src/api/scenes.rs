@@ -196,7 +196,7 @@ fn tell(app: &App, scene: &SceneEntry) -> types::Scene {
         live_elements: world.element_count() as u64,
         triangles: world.triangle_count() as u64,
         memory_bytes: (world.memory_bytes() + published.memory_bytes() + scene.aside_bytes(published)) as u64,
-        estimated_rmse: published.estimated_rmse.and_then(finite),
+        estimated_rmse: published.stated_rmse().and_then(finite),
         light_error: published.stated().into(),
         target: scene.target().map(to_target),
         accepted_edits: accepted.sequence,

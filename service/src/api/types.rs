@@ -102,7 +102,8 @@ pub struct Scene {
     /// Memory that the scene holds.
     #[schema(example = 9_211_340)]
     pub memory_bytes: u64,
-    /// Stated error of the light that the map holds (`mode`): area-weighted RMSE (irradiance / π).
+    /// Stated error of the light that the map holds (`mode`): area-weighted RMSE (irradiance / π). Null where nothing is
+    /// known of it, as of an estimate, or of light from before an edit.
     #[schema(example = 0.012)]
     pub estimated_rmse: Option<f32>,
     /// Its errors: of chance, and of the distance between elements, which is measured while light is computed. Null after an

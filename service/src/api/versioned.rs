@@ -12,7 +12,7 @@ use crate::store::versions::Published;
 pub(super) static VERSION: HeaderName = HeaderName::from_static("x-rebake-version");
 
 /// Header with the stated error of the light that is delivered.
-static ESTIMATED_RMSE: HeaderName = HeaderName::from_static("x-rebake-estimated-rmse");
+pub(super) static ESTIMATED_RMSE: HeaderName = HeaderName::from_static("x-rebake-estimated-rmse");
 
 /// An answer that is the same until its tag changes.
 pub(super) struct Versioned {
@@ -48,7 +48,7 @@ impl Versioned {
 
     /// States the error of the light that is delivered, where anything is known of it.
     pub(super) fn state_error(&mut self, published: &Published) -> ApiResult<()> {
-        if let Some(rmse) = published.estimated_rmse {
+        if let Some(rmse) = published.stated_rmse() {
             let value = HeaderValue::from_str(&rmse.to_string()).map_err(Problem::internal)?;
             self.about.insert(ESTIMATED_RMSE.clone(), value);
         }

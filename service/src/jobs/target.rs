@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::budget::JobBudget;
-use super::queue::{JobKind, Priority};
+use super::queue::{JobKind, Priority, Queue};
 use super::seeds::next_seed;
 use super::stop::Asked;
 use super::{JobSpec, Jobs, new_record};
@@ -35,17 +35,20 @@ impl Jobs {
                 }
             }
         }
-        self.work_towards_target(scene);
+        self.work_towards_target(scene, true);
     }
 
     /// Queues a job that brings a scene's light closer to its target, where it is not there yet and none is open that will.
+    /// `takes_up`: edits whose jobs were canceled are lit with it.
     /// Takes the scene's head: not from an async thread.
-    pub(crate) fn work_towards_target(self: &Arc<Jobs>, scene: &Arc<SceneEntry>) {
+    pub(crate) fn work_towards_target(self: &Arc<Jobs>, scene: &Arc<SceneEntry>, takes_up: bool) {
         let head = scene.head.blocking_lock();
-        let Some(target) = scene.target().filter(|target| !scene.is_deleted() && scene.is_behind(target)) else {
-            return;
-        };
-        if self.with_queue(|queue| queue.has_target_work(scene.number)) {
+        let is_canceled = takes_up && scene.unlit() > 0;
+        let is_wanted = |target: &JobBudget| !scene.is_deleted() && (is_canceled || scene.is_behind(target));
+        let Some(target) = scene.target().filter(is_wanted) else { return };
+        // An open job lights all edits up to its own, and what it leaves asks again at its end.
+        let is_open = |queue: &Queue| is_canceled && !queue.open_of(scene.number).is_empty();
+        if self.with_queue(|queue| queue.has_target_work(scene.number) || is_open(queue)) {
             return;
         }
         // A full queue has enough to do: the next edit asks again.

@@ -49,7 +49,7 @@ impl Jobs {
             version: published.version,
             elements_version: published.elements_version,
             samples_per_element: progress.map(|progress| progress.samples_per_element),
-            estimated_rmse: published.estimated_rmse.and_then(types::finite),
+            estimated_rmse: published.stated_rmse().and_then(types::finite),
             light_error: published.stated().into(),
         };
         self.metrics.published(published);

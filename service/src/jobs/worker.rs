@@ -81,7 +81,7 @@ fn after(jobs: &Arc<Jobs>, remains: Remains) {
     let jobs = jobs.clone();
     jobs.clone().compute.spawn(move || {
         if asks_for_more {
-            jobs.work_towards_target(&scene);
+            jobs.work_towards_target(&scene, false);
         }
         let (world, accepted) = {
             let head = scene.head.blocking_lock();

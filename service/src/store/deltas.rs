@@ -16,12 +16,21 @@ pub(crate) struct KeptDeltas(Mutex<VecDeque<Kept>>);
 /// A delta, as one frame. It is made once, however many ask for it at the same time.
 struct Kept {
     versions: (u64, u64),
-    frame: Arc<OnceLock<Bytes>>,
+    frame: Arc<OnceLock<KeptDelta>>,
+}
+
+/// What changed between two versions.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct KeptDelta {
+    /// One frame.
+    pub(crate) frame: Bytes,
+    /// Stated error of the later version.
+    pub(crate) stated: Option<f32>,
 }
 
 impl Kept {
     fn bytes(&self) -> usize {
-        self.frame.get().map_or(0, Bytes::len)
+        self.frame.get().map_or(0, |delta| delta.frame.len())
     }
 }
 
@@ -31,7 +40,7 @@ impl KeptDeltas {
     }
 
     /// The delta from one version to another, where it was made before.
-    pub(crate) fn find(&self, versions: (u64, u64)) -> Option<Bytes> {
+    pub(crate) fn find(&self, versions: (u64, u64)) -> Option<KeptDelta> {
         let kept = self.lock();
         kept.iter().find(|kept| kept.versions == versions)?.frame.get().cloned()
     }
@@ -41,21 +50,21 @@ impl KeptDeltas {
         &self,
         versions: (u64, u64),
         most_bytes: usize,
-        encode: impl FnOnce() -> Bytes,
-    ) -> Bytes {
+        encode: impl FnOnce() -> KeptDelta,
+    ) -> KeptDelta {
         let frame = {
             let mut kept = self.lock();
             let known = kept.iter().find(|kept| kept.versions == versions).map(|kept| kept.frame.clone());
             known.unwrap_or_else(|| {
-                let frame = Arc::<OnceLock<Bytes>>::default();
+                let frame = Arc::<OnceLock<KeptDelta>>::default();
                 kept.push_back(Kept { versions, frame: frame.clone() });
                 frame
             })
         };
         // Not under the lock: it takes milliseconds.
-        let bytes = frame.get_or_init(encode).clone();
+        let delta = frame.get_or_init(encode).clone();
         self.forget(most_bytes);
-        bytes
+        delta
     }
 
     /// Drops the oldest until the others are few enough.
@@ -81,16 +90,17 @@ mod tests {
     #[test]
     fn a_delta_is_made_once_and_the_oldest_goes_first() {
         let kept = KeptDeltas::default();
-        let make = |versions, bytes: usize| kept.find_or_make(versions, 100, || vec![7; bytes].into());
+        let delta = |bytes: usize| KeptDelta { frame: vec![7; bytes].into(), stated: Some(bytes as f32) };
+        let make = |versions, bytes: usize| kept.find_or_make(versions, 100, || delta(bytes));
         assert_eq!((kept.find((1, 2)), kept.memory_bytes()), (None, 0));
-        assert_eq!(make((1, 2), 60).len(), 60);
+        assert_eq!(make((1, 2), 60), delta(60));
         let again = kept.find_or_make((1, 2), 100, || unreachable!("it is there"));
-        assert_eq!((again.len(), kept.find((1, 2)).map(|bytes| bytes.len())), (60, Some(60)));
+        assert_eq!((again, kept.find((1, 2))), (delta(60), Some(delta(60))));
         make((0, 2), 30);
         assert_eq!(kept.memory_bytes(), 90);
         make((2, 3), 20);
         assert_eq!((kept.find((1, 2)), kept.memory_bytes()), (None, 50), "the oldest made room");
-        assert_eq!(make((0, 3), 1000).len(), 1000, "too large to be kept beside others");
+        assert_eq!(make((0, 3), 1000), delta(1000), "too large to be kept beside others");
         assert_eq!(kept.memory_bytes(), 1000);
         for version in 0..2 * KEPT as u64 {
             make((version, version + 1), 1);

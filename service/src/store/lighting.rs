@@ -82,9 +82,6 @@ pub(crate) struct Lit<'a> {
 /// Elements whose light is none of theirs, after one more transition that old light is carried over.
 fn unknown_after(transition: &Transition, before: Unknown) -> Unknown {
     let came = transition.slots_without_light();
-    if before.is_none() && came.is_empty() {
-        return None;
-    }
     let mut unknown = before.map_or_else(Vec::new, |before| before.to_vec());
     unknown.resize(transition.after.slots(), false);
     came.into_iter().for_each(|slot| unknown[slot as usize] = true);

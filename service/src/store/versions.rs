@@ -47,7 +47,7 @@ impl Wanted {
     }
 }
 
-/// Per slot: whether nothing is known of the light that it has. None where there is no such slot.
+/// Per slot: whether nothing is known of the light that it has. None where the light is that of the scene that is shown.
 pub(crate) type Unknown = Option<Arc<[bool]>>;
 
 /// Errors of light: irradiance / π, mean over RGB. None: not known.
@@ -69,13 +69,14 @@ pub(crate) struct Published {
     pub(crate) map: Arc<LightMap>,
     /// Of `world`; worked out when a client first asks, and kept as long as the world.
     objects: Arc<OnceLock<Vec<ObjectSummary>>>,
-    /// Stated error: area-weighted RMSE, where it is known. Light that was carried over keeps the old one.
+    /// Error of the light as it was computed: area-weighted RMSE, where it is known. Light that was carried over keeps the
+    /// old one, which says nothing of the scene that is shown.
     pub(crate) estimated_rmse: Option<f32>,
     /// Its error of resolution as far as it was measured; of light that was carried over nothing is known.
     pub(crate) resolution: Option<Arc<ResolutionError>>,
     /// Stated error of each object, in the order of the world; worked out when a client first asks.
     noise_of_objects: OnceLock<Vec<Option<f32>>>,
-    /// Elements that came, or moved, after the light was computed.
+    /// Of light that was carried over: elements that came, or moved, after it was computed.
     unknown: Unknown,
     mode: Mode,
     /// What is delivered in the scene's mode.
@@ -177,7 +178,7 @@ impl Published {
     }
 
     /// The version after this one. `world` is given where it changed, `weights` are those of the map's layers, `unknown`
-    /// tells elements whose light is none of theirs. Nothing is known of its error of resolution.
+    /// tells elements whose light is none of theirs, where it was carried over. Nothing is known of its error of resolution.
     pub(crate) fn next(
         &self,
         world: Option<World>,
@@ -307,9 +308,14 @@ impl Published {
         })
     }
 
+    /// Its stated error: none of light that was carried over to another scene.
+    pub(crate) fn stated_rmse(&self) -> Option<f32> {
+        self.estimated_rmse.filter(|_| self.unknown.is_none())
+    }
+
     /// Whether the light is right for what is shown, and states its error.
     pub(crate) fn is_known(&self) -> bool {
-        self.estimated_rmse.is_some() && self.unknown.is_none()
+        self.stated_rmse().is_some()
     }
 
     /// What is stated of the light: its noise, and its error of resolution as far as it was measured.
