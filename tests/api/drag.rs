@@ -150,3 +150,51 @@ async fn no_light_starts_from_an_estimate() {
     // The first step, three that were held, and one of all that was left with the insert.
     assert_eq!(engine.state.lock().unwrap().updates, (5, 0));
 }
+
+/// A step of an object's drag makes way for the next one as soon as it has light to show; undo takes them back as one.
+#[tokio::test]
+async fn a_dragged_object_shows_every_step_and_goes_back_at_once() {
+    const MANY: u32 = 65_536;
+    let server = Server::start().await;
+    let scene = scene(&server).await;
+    let step = |x: f64, samples: u32| {
+        json!({ "op": "move", "object": "cupboard", "transform": glb::translation(x, 0.0, 0.0), "drag": true,
+                "budget": { "samples_per_element": samples } })
+    };
+    let mut jobs = Vec::new();
+    for k in 1..=3 {
+        let job = server.edit(&scene, &step(0.2 * f64::from(k), MANY)).await;
+        server.until(&job, |job| job["progress"]["samples_per_element"].as_u64() > Some(0)).await;
+        jobs.push(job);
+    }
+    let rest = server.edit(&scene, &step(1.0, 16)).await;
+    for job in &jobs {
+        let job = server.end_of(job).await;
+        let samples = job["progress"]["samples_per_element"].as_u64().unwrap();
+        assert!(job["state"] == "succeeded" && samples < u64::from(MANY), "{job}");
+    }
+    assert_eq!(server.end_of(&rest).await["state"], "succeeded");
+    let path = path_of(&scene);
+    let cupboard = async || {
+        let now = server.get(&path).await.json(200);
+        let objects = now["objects"].as_array().unwrap();
+        let found = objects.iter().find(|object| object["name"] == "cupboard").unwrap();
+        (
+            found["transform"][12].as_f64().unwrap(),
+            now["accepted_edits"].as_u64().unwrap(),
+            now["estimated_rmse"].clone(),
+        )
+    };
+    let (x, accepted, stated) = cupboard().await;
+    assert!((x, accepted) == (1.0, 4) && stated.is_number(), "{x} {accepted} {stated}");
+    for (turn, to) in [("undo", 0.0), ("redo", 1.0), ("undo", 0.0)] {
+        let (_, before, _) = cupboard().await;
+        server.end_of(&server.edit(&scene, &json!({ "op": turn, "drag": true })).await).await;
+        let (x, accepted, _) = cupboard().await;
+        assert_eq!((x, accepted), (to, before + 1), "{turn}");
+    }
+    let history = server.get(&format!("{path}/edits")).await.json(200);
+    let undone = history["items"].as_array().unwrap().iter().filter(|entry| entry["undone"] == true).count();
+    assert_eq!((undone, &history["undo"], &history["redo"]), (4, &json!(null), &json!(1)));
+    server.stop().await;
+}

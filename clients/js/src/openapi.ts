@@ -441,6 +441,11 @@ export interface Move {
   object: string;
   /** Object space to world space, column-major, metres; replaces the present one. */
   transform: number[];
+  /**
+   * It is being dragged: its light ends with its first round where the next step of the same drag waits by then. Later
+   * steps start from the light before the drag.
+   */
+  drag?: boolean;
   budget?: Budget | null;
   focus?: Focus | null;
   tiles?: Tiles | null;
@@ -640,6 +645,8 @@ export interface ProblemDocument {
 /** Makes the last request again that was taken back. Any other edit ends what can be made again. */
 export interface Redo {
   op: "redo";
+  /** Of a drag all steps at once. */
+  drag?: boolean;
   budget?: Budget | null;
   focus?: Focus | null;
   tiles?: Tiles | null;
@@ -1048,6 +1055,8 @@ export interface Tiles {
  */
 export interface Undo {
   op: "undo";
+  /** Of a drag all steps at once. */
+  drag?: boolean;
   budget?: Budget | null;
   focus?: Focus | null;
   tiles?: Tiles | null;

@@ -5,14 +5,16 @@ use serde_json::Value;
 
 use super::checks::check_name;
 use super::edit_lights;
-use super::edit_types::{Budget, EditList, EditOp, EditRequest, Focus, PaintedTexture, Repaint, SingleEdit, Tiles};
+use super::edit_types::{
+    Budget, EditList, EditOp, EditRequest, Focus, PaintedTexture, Redo, Repaint, SingleEdit, Tiles, Undo,
+};
 use super::misread::{FromFields, Misread, join};
 use super::problem::{ApiResult, Kind, Problem};
 use super::skies;
 use super::types::{JobPriority, dmat4, vec3};
 use crate::engine::Edit;
 use crate::store::assets::Assets;
-use crate::store::history::{History, Turn};
+use crate::store::history::{History, Moves, Turn, Way};
 
 /// An edit request, read.
 pub(crate) struct Parsed {
@@ -71,12 +73,20 @@ impl Parsed {
     }
 
     /// Whether it goes through the scene's states, and which way. Such an edit stands alone.
-    pub(crate) fn turn(&self) -> Option<Turn> {
-        self.edits.iter().find_map(|op| match op {
-            EditOp::Undo(_) => Some(Turn::Undo),
-            EditOp::Redo(_) => Some(Turn::Redo),
+    pub(crate) fn way(&self) -> Option<Way> {
+        self.edits.iter().find_map(way)
+    }
+
+    /// What it moves, where it does nothing else.
+    pub(crate) fn moves(&self) -> Option<Moves> {
+        let moved = |op: &EditOp| match op {
+            EditOp::Move(place) => Some((format!("object {}", place.object), place.drag)),
+            EditOp::MoveLight(place) => Some((format!("light {}", place.light), place.drag)),
             _ => None,
-        })
+        };
+        let (things, drag): (Vec<_>, Vec<_>) =
+            self.edits.iter().map(moved).collect::<Option<Vec<_>>>()?.into_iter().unzip();
+        (!things.is_empty()).then(|| Moves { things, is_step: drag.into_iter().all(|is| is) })
     }
 
     /// Where the `i`-th edit stands in the body.
@@ -89,25 +99,30 @@ impl Parsed {
 pub(crate) fn to_edits(parsed: &Parsed, assets: &Assets, history: &History, allowed: Allowed) -> ApiResult<Vec<Edit>> {
     let each = |(i, op): (usize, &EditOp)| {
         let path = parsed.path(i);
-        let turn = match op {
-            EditOp::Undo(_) => Turn::Undo,
-            EditOp::Redo(_) => Turn::Redo,
-            _ => return to_edit(op, &path, assets, allowed),
-        };
+        let Some(way) = way(op) else { return Ok(vec![to_edit(op, &path, assets, allowed)?]) };
         if parsed.edits.len() > 1 {
             let reason = "undo and redo stand alone in their request";
             return Err(Problem::field(Kind::InvalidValue, join(&path, "op"), reason));
         }
         let nothing = || {
-            let reason = match turn {
+            let reason = match way.turn {
                 Turn::Undo => "there is no edit that can be taken back",
                 Turn::Redo => "there is no edit that was taken back last",
             };
             Problem::field(Kind::NothingToTurn, join(&path, "op"), reason)
         };
-        history.plan(turn).map(|(_, edit)| edit).ok_or_else(nothing)
+        history.plan(way).map(|(_, edits)| edits).ok_or_else(nothing)
     };
-    parsed.edits.iter().enumerate().map(each).collect()
+    let edits: Vec<Vec<Edit>> = parsed.edits.iter().enumerate().map(each).collect::<ApiResult<_>>()?;
+    Ok(edits.into_iter().flatten().collect())
+}
+
+fn way(op: &EditOp) -> Option<Way> {
+    match op {
+        EditOp::Undo(Undo { drag }) => Some(Way { turn: Turn::Undo, drag: *drag }),
+        EditOp::Redo(Redo { drag }) => Some(Way { turn: Turn::Redo, drag: *drag }),
+        _ => None,
+    }
 }
 
 fn to_edit(op: &EditOp, path: &str, assets: &Assets, allowed: Allowed) -> ApiResult<Edit> {

@@ -163,6 +163,10 @@ pub struct Move {
     /// Object space to world space, column-major, metres; replaces the present one.
     #[schema(example = json!([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.5, 0, 2, 1]))]
     pub transform: [f64; 16],
+    /// It is being dragged: its light ends with its first round where the next step of the same drag waits by then. Later
+    /// steps start from the light before the drag.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub drag: bool,
 }
 
 /// Repaints an object, a material wherever it is, or the parts of one object that have it.
@@ -219,12 +223,20 @@ pub struct Show {
 /// still kept.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Undo {}
+pub struct Undo {
+    /// Of a drag all steps at once.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub drag: bool,
+}
 
 /// Makes the last request again that was taken back. Any other edit ends what can be made again.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Redo {}
+pub struct Redo {
+    /// Of a drag all steps at once.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub drag: bool,
+}
 
 /// When a job stops: the first bound that is reached ends it. With a bound on time or error alone, samples go on
 /// until that is reached.

@@ -23,7 +23,6 @@ use super::uploads::{full_problem, memory_problem};
 use super::{Shared, etag, find_scene, require_serving};
 use crate::config::Config;
 use crate::engine::{Edit, EditError, EditErrorKind, Focus, Importance, Scene, World};
-use crate::jobs::merge::dragged_by;
 use crate::jobs::queue::{JobKind, Priority};
 use crate::jobs::seeds::next_seed;
 use crate::jobs::{About, JobSpec, new_record};
@@ -138,7 +137,7 @@ fn read_request(app: &App, head: &Head, body: &[u8]) -> ApiResult<Request> {
     let budget = to_budget(parsed.budget, "budget", app.config.defaults.edit_samples, &app.config)?;
     let importance = read_importance(&parsed, &head.world, &app.config)?;
     let priority = parsed.priority;
-    let dragged = dragged_by(&edits);
+    let dragged = parsed.moves().filter(|moves| moves.is_step).map_or_else(Vec::new, |moves| moves.things);
     let spec = JobSpec { importance, dragged, ..JobSpec::new(budget, 0, head.sequence) };
     Ok(Request { parsed, edits, priority, spec })
 }
@@ -197,8 +196,9 @@ fn accept(
     kept.inspect_err(|_| app.assets.unneed(scene.number, &needed))?;
     let unlit = transition.map(|transition| {
         let (job, accepted_at) = (Some(ticket.number), Some(accepted_at));
-        let accepted = history::Accepted { body: body.clone(), job, accepted_at, turn: None, is_undone: false };
-        head.history.accept(accepted, parsed.turn(), (&head.world.scene, &transition.after.scene));
+        let moves = parsed.moves();
+        let accepted = history::Accepted { body: body.clone(), job, accepted_at, moves, turn: None, is_undone: false };
+        head.history.accept(accepted, parsed.way(), (&head.world.scene, &transition.after.scene));
         head.world = transition.after.clone();
         head.sequence = sequence;
         scene.set_accepted(head);

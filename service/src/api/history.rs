@@ -14,7 +14,7 @@ use super::problem::ApiResult;
 use super::scenes::ListQuery;
 use super::{Shared, find_scene};
 use crate::state::App;
-use crate::store::history::{Accepted, Turn};
+use crate::store::history::{Accepted, Turn, Way};
 use crate::store::lighting::Sequence;
 
 /// An accepted edit request.
@@ -70,7 +70,7 @@ pub(super) async fn list(
     let page = Onward::new(&app.config, query.limit, query.cursor.as_deref())?;
     let head = scene.head.lock().await;
     let (found, next_cursor) = page.cut(head.history.after(page.after, page.limit + 1), |(sequence, _)| *sequence);
-    let about = |turn| head.history.plan(turn).map(|(sequence, _)| sequence);
+    let about = |turn| head.history.plan(Way { turn, drag: false }).map(|(sequence, _)| sequence);
     let (undo, redo) = (about(Turn::Undo), about(Turn::Redo));
     drop(head);
     let items = found.into_iter().map(|(sequence, accepted)| entry(&app, sequence, &accepted)).collect();

@@ -61,8 +61,8 @@ pub(crate) struct JobSpec {
     /// What comes first.
     #[serde(flatten, with = "stored_importance")]
     pub(crate) importance: Importance,
-    /// Lights that are dragged, where the request does nothing else: an estimate comes first, and the next step of the
-    /// drag ends the rest.
+    /// What is dragged, where the request does nothing else: something to see comes first, and the next step of the drag
+    /// ends the rest.
     #[serde(default)]
     pub(crate) dragged: Vec<String>,
     pub(crate) seed: u64,

@@ -97,5 +97,5 @@ impl State {
 
 /// Whether all that is dragged goes on being dragged.
 fn is_next_step(running: &JobSpec, next: &JobSpec) -> bool {
-    !running.dragged.is_empty() && running.dragged.iter().all(|light| next.dragged.contains(light))
+    !running.dragged.is_empty() && running.dragged.iter().all(|thing| next.dragged.contains(thing))
 }

@@ -280,7 +280,7 @@ impl Step {
     /// What it makes way for, as the last step of a job.
     fn yields(&self, run: &Run) -> Yields {
         match () {
-            () if self.drags() => Yields::ToNextStep,
+            () if self.drags() || !run.spec.dragged.is_empty() => Yields::ToNextStep,
             () if run.spec.yields() || run.kind.is_for_target() => Yields::OnceStated,
             () => Yields::Never,
         }

@@ -4,12 +4,12 @@ use std::sync::Arc;
 
 use rebake_core::allowed::Allowed;
 
-use crate::api::edit_parse;
+use crate::api::edit_parse::{self, Parsed};
 use crate::engine::{self, Edit, World};
 use crate::store::StoreError;
 use crate::store::assets::Assets;
 use crate::store::disk::SavedEdit;
-use crate::store::history::{self, History, Turn};
+use crate::store::history::{self, History};
 use crate::store::lighting::{Sequence, Unlit};
 use crate::store::records::LightRecord;
 
@@ -51,11 +51,12 @@ pub(super) fn replay(
         if *sequence != replayed.sequence + 1 {
             return Err(failed("an earlier one is missing".to_owned()));
         }
-        let (edits, turn) = read_edits(assets, &saved.body, &replayed.history).map_err(failed)?;
+        let (edits, parsed) = read_edits(assets, &saved.body, &replayed.history).map_err(failed)?;
         let transition = replayed.world.apply_again(&edits).map_err(|error| failed(error.to_string()))?;
         let (body, job, accepted_at) = (saved.body.clone().into(), saved.job, saved.accepted_at);
-        let accepted = history::Accepted { body, job, accepted_at, turn: None, is_undone: false };
-        replayed.history.accept(accepted, turn, (&replayed.world.scene, &transition.after.scene));
+        let moves = parsed.moves();
+        let accepted = history::Accepted { body, job, accepted_at, moves, turn: None, is_undone: false };
+        replayed.history.accept(accepted, parsed.way(), (&replayed.world.scene, &transition.after.scene));
         replayed.world = transition.after.clone();
         replayed.sequence = *sequence;
         replayed.note(shown, lit);
@@ -78,10 +79,10 @@ impl Replayed {
     }
 }
 
-fn read_edits(assets: &Assets, body: &[u8], history: &History) -> Result<(Vec<Edit>, Option<Turn>), String> {
+fn read_edits(assets: &Assets, body: &[u8], history: &History) -> Result<(Vec<Edit>, Parsed), String> {
     let parsed = edit_parse::parse(body, usize::MAX).map_err(|problem| problem.to_string())?;
     let edits = edit_parse::to_edits(&parsed, assets, history, Allowed::KEPT);
-    Ok((edits.map_err(|problem| problem.to_string())?, parsed.turn()))
+    Ok((edits.map_err(|problem| problem.to_string())?, parsed))
 }
 
 /// The light with the world it belongs to; an error where their slots differ.

@@ -87,10 +87,12 @@ class Remove:
 
 @dataclass(frozen=True)
 class Move:
-    """Gives an object a new place: `transform`, from object space to world space, replaces the present one."""
+    """Gives an object a new place: `transform`, from object space to world space, replaces the present one. `drag`: make way
+    for the next step as soon as something is to be seen."""
 
     object: str
     transform: ArrayLike
+    drag: bool | None = None
     op: ClassVar[str] = "move"
 
 
@@ -185,15 +187,17 @@ class GroupLights:
 
 @dataclass(frozen=True)
 class Undo:
-    """Takes the last request back that counts. Stands alone in its request."""
+    """Takes the last request back that counts; with `drag` all steps of a drag. Stands alone in its request."""
 
+    drag: bool | None = None
     op: ClassVar[str] = "undo"
 
 
 @dataclass(frozen=True)
 class Redo:
-    """Makes the last request again that was taken back. Stands alone in its request."""
+    """Makes the last request again that was taken back; with `drag` all steps of a drag. Stands alone in its request."""
 
+    drag: bool | None = None
     op: ClassVar[str] = "redo"
 
 
