@@ -728,7 +728,10 @@ export type SamplePart = "full" | "direct" | "indirect";
 
 /** Points to sample. */
 export interface SampleRequest {
-  /** Position x y z (world space, metres) and normal x y z (of any length but zero) of each. */
+  /**
+   * Position x y z (world space, metres) and normal x y z (of any length but zero) of each. Points × samples are at
+   * most 8,388,608.
+   */
   points: number[][];
   /** Samples per point; 256 where absent. */
   samples?: number | null;

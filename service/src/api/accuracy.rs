@@ -29,7 +29,8 @@ const MOST_POINTS: u64 = 1 << 16;
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct ErrorQuery {
-    /// Points on the surfaces where what is read is held against exact samples; 4096 where absent.
+    /// Points on the surfaces where what is read is held against exact samples; 4096 where absent. Points × samples are at
+    /// most 8,388,608.
     #[param(example = 4096, minimum = 32, maximum = 65_536)]
     points: Option<u32>,
     /// Samples at each; 64 where absent.

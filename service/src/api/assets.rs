@@ -63,8 +63,9 @@ pub(super) struct AssetPage {
         ("Idempotency-Key" = Option<String>, Header, description = "Refuses another file with the same key: repeating an upload is safe without one, too"),
     ),
     request_body(content(
-        (Vec<u8> = "model/gltf-binary"), (Vec<u8> = "image/x-exr"), (Vec<u8> = "image/vnd.radiance")
-    ), description = "A `.glb`, or a `.gltf` with its files as a zip archive; or a picture of the sky"),
+        (Vec<u8> = "model/gltf-binary"), (Vec<u8> = "model/gltf+json"), (Vec<u8> = "application/zip"),
+        (Vec<u8> = "image/x-exr"), (Vec<u8> = "image/vnd.radiance"), (Vec<u8> = "application/octet-stream")
+    ), description = "A `.glb`, a `.gltf` that holds its files, or one with them as a zip archive; or a picture of the sky; of the last type any of these"),
     responses((status = 201, body = Asset, description = "Uploaded"), (status = 200, body = Asset, description = "Known already"))
 )]
 pub(super) async fn create(State(app): Shared, headers: HeaderMap, body: Body) -> ApiResult<(StatusCode, Json<Asset>)> {

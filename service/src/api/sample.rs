@@ -28,8 +28,9 @@ const FARTHEST: f64 = 1e9;
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SampleRequest {
-    /// Position x y z (world space, metres) and normal x y z (of any length but zero) of each.
-    #[schema(example = json!([[1.0, 0.5, 2.0, 0.0, 1.0, 0.0]]))]
+    /// Position x y z (world space, metres) and normal x y z (of any length but zero) of each. Points × samples are at
+    /// most 8,388,608.
+    #[schema(min_items = 1, max_items = 4096, example = json!([[1.0, 0.5, 2.0, 0.0, 1.0, 0.0]]))]
     points: Vec<[f64; 6]>,
     /// Samples per point; 256 where absent.
     #[schema(example = 256, minimum = 2)]

@@ -37,8 +37,15 @@ pub(super) const GLB_TYPES: &[&str] =
 
 /// Uploads a scene and starts its bake.
 #[utoipa::path(
-    post, path = "/v1/scenes", tag = "scenes", operation_id = "create_scene", params(CreateQuery),
-    request_body(content = Vec<u8>, content_type = "model/gltf-binary", description = "A `.glb`, or a `.gltf` with its files as a zip archive"),
+    post, path = "/v1/scenes", tag = "scenes", operation_id = "create_scene",
+    params(
+        CreateQuery,
+        ("Idempotency-Key" = Option<String>, Header, description = "Makes the request safe to repeat: the same key with the same file and query answers the same scene, as it is by then, and 410 where that was deleted. Not looked at with `dry_run=true`"),
+    ),
+    request_body(content(
+        (Vec<u8> = "model/gltf-binary"), (Vec<u8> = "model/gltf+json"), (Vec<u8> = "application/zip"),
+        (Vec<u8> = "application/octet-stream")
+    ), description = "A `.glb`, a `.gltf` that holds its files, or one with them as a zip archive; of the last type any of these"),
     responses(
         (status = 200, body = types::ScenePlan, description = "With `dry_run=true`: what the scene would take"),
         (status = 201, body = types::Scene, description = "The scene; its bake is `current_job`",

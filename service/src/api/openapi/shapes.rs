@@ -80,7 +80,8 @@ pub(super) fn mark_bytes(operation: &mut Operation) {
 
 fn mark(media_type: &str, content: &mut RefOr<Content>) {
     let is_text = media_type.starts_with("text/") || media_type.starts_with("application/openmetrics-text");
-    let is_readable = is_text || media_type.ends_with("json");
+    // A glTF is a file, whatever is in it: generators would write the one that they are given as JSON.
+    let is_readable = is_text || (media_type.ends_with("json") && media_type != "model/gltf+json");
     if let (false, RefOr::T(content)) = (is_readable, content) {
         let mut bytes = Object::with_type(SchemaType::Type(Type::String));
         bytes.format = Some(SchemaFormat::KnownFormat(KnownFormat::Binary));
