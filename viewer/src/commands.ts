@@ -31,7 +31,7 @@ interface Held {
 }
 
 /** Between two steps of a drag, milliseconds. */
-const STEP = 200;
+const STEP = 66;
 
 const some = (names: { name: string }[]) => (names.length > 1 ? `${names[0]!.name} and ${names.length - 1} more` : names[0]!.name);
 
@@ -84,15 +84,15 @@ export class Commands {
     this.held = structuredClone({ objects: this.objects, lights: this.lights, steps: 0, last: 0 });
   }
 
-  /** Lamps alone are lit where they are dragged along, as often as the service takes it. */
+  /** It is lit where it is dragged along, as often as the service takes it. */
   async drag(by: Matrix4): Promise<void> {
     const { held } = this;
     const now = performance.now();
-    if (!held || held.objects.length || !this.editor.isIdle || now - held.last < STEP) return;
+    if (!held || !this.editor.isIdle || now - held.last < STEP) return;
     const edits = moves(held, by, true);
     if (edits.length === 0) return;
     [held.steps, held.last] = [held.steps + 1, now];
-    await this.editor.run(`move ${some(held.lights)}`, edits, held.steps > 1);
+    await this.editor.run(`move ${some([...held.objects, ...held.lights])}`, edits, held.steps > 1);
   }
 
   /** It is let go. */
@@ -202,7 +202,7 @@ export class Commands {
 /** The edits that move what is held. */
 function moves({ objects, lights }: Held, by: Matrix4, drag: boolean): Edit[] {
   const moved = objects.map(({ name, transform }): Edit => {
-    return { op: 'move', object: name, transform: by.clone().multiply(new Matrix4().fromArray(transform)).toArray() };
+    return { op: 'move', object: name, transform: by.clone().multiply(new Matrix4().fromArray(transform)).toArray(), ...(drag && { drag }) };
   });
   const placed = lights.filter((l) => l.position).map(({ name, position, direction }): Edit => {
     const at = new Vector3(...position!).applyMatrix4(by).toArray();

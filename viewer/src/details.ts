@@ -4,7 +4,8 @@ import { Euler, Matrix4, Quaternion, Vector3 } from 'three';
 import type { Light, Point, Rgb, Scene, SceneObject } from 'rebake';
 import { split } from './colors';
 import { $, button, make } from './dom';
-import { color, isHeld, isTyping, number, short, slider, triple } from './fields';
+import { color, isHeld, number, short, slider, triple } from './fields';
+import { show } from './patch';
 import type { Picked } from './selection';
 
 export interface Actions {
@@ -24,23 +25,31 @@ export interface Actions {
 
 const NOTHING = 'Nothing. Click an object or a light; with Shift or Ctrl, several.';
 
+/** What is there now: what is on the page may stay for longer than what it was made of. */
+let now: Scene | null = null;
+const objectNow = (name: string) => now?.objects.find((one) => one.name === name);
+const lightNow = (name: string) => now?.lights.find((one) => one.name === name);
+
 /** Shows what is selected. What is the same stays; what a person is changing is not taken out of their hands. */
 export function details(scene: Scene | null, selected: readonly Picked[], actions: Actions): void {
   const parent = $('details');
-  const focused = parent.contains(document.activeElement) ? nameOf(document.activeElement) : null;
+  now = scene;
   const are = (kind: Picked['kind']) => new Set(selected.filter((one) => one.kind === kind).map(({ name }) => name));
   const [objectNames, lightNames] = [are('object'), are('light')];
   const objects = scene?.objects.filter(({ name }) => objectNames.has(name)) ?? [];
   const lights = scene?.lights.filter(({ name, object }) => lightNames.has(name) || (object && objectNames.has(object))) ?? [];
-  const [of, shown] = [JSON.stringify(selected), JSON.stringify([objects, lights])];
-  if (parent.dataset['of'] === of && (isHeld() || isTyping() || parent.dataset['shown'] === shown)) return;
-  [parent.dataset['of'], parent.dataset['shown']] = [of, shown];
-  parent.oninput = () => (parent.dataset['shown'] = '');
-  if (selected.length > 1) parent.replaceChildren(...several(objects, lights, actions));
-  else if (objects[0] ?? lights[0]) parent.replaceChildren(...single(selected[0]!, objects[0], lights[0], actions));
-  else parent.replaceChildren(make('p', { class: 'quiet' }, NOTHING));
-  const again = [...parent.querySelectorAll<HTMLElement>('input, button')].find((item) => nameOf(item) === focused);
-  if (focused) again?.focus();
+  const of = JSON.stringify([scene?.id, selected]);
+  if (parent.dataset['of'] === of && isHeld()) return;
+  // Of something else nothing stays, and neither does what was typed for it.
+  if (parent.dataset['of'] !== of) parent.replaceChildren();
+  parent.dataset['of'] = of;
+  const focused = parent.contains(document.activeElement) ? nameOf(document.activeElement) : null;
+  const parts =
+    selected.length > 1 ? several(objects, lights, actions)
+    : (objects[0] ?? lights[0]) ? single(selected[0]!, objects[0], lights[0], actions)
+    : [make('p', { class: 'quiet' }, NOTHING)];
+  if (show(parent, parts) || !focused) return;
+  [...parent.querySelectorAll<HTMLElement>('input, button')].find((item) => nameOf(item) === focused)?.focus();
 }
 
 function single({ name }: Picked, object: SceneObject | undefined, light: Light | undefined, actions: Actions): HTMLElement[] {
@@ -60,11 +69,7 @@ function several(objects: SceneObject[], lights: Light[], actions: Actions): HTM
     buttons(objects, own, actions),
   ];
   if (elements) parts.push(make('p', { class: 'quiet' }, `${elements.toLocaleString('en')} elements`));
-  parts.push(triple('Move by', 'metres', [0, 0, 0], 0.1, (axis, value) => {
-    const by: Point = [0, 0, 0];
-    by[axis] = value;
-    if (value !== 0) actions.move(new Matrix4().makeTranslation(...by));
-  }));
+  parts.push(triple('Move by', 'metres', [0, 0, 0], 0.1, (axis, value) => value !== 0 && actions.move(along(axis, value))));
   if (objects.length) parts.push(color('Albedo', objects.at(-1)!.albedo, actions.paint));
   if (lights.length) {
     const factor = number('Intensity, times', 1, { min: 0 }, actions.dim);
@@ -113,78 +118,90 @@ function ofObject(object: SceneObject, actions: Actions): HTMLElement[] {
   ];
 }
 
-/** Place, turn and size as numbers. An object turns and grows about its middle, wherever its origin is. */
-function place(object: SceneObject, { move }: Actions): HTMLElement[] {
-  const center = middle(object);
+/** Where an object stands, its turn in degrees, and its size. */
+function stand(object: SceneObject) {
   const [at, turn, size] = [new Vector3(), new Quaternion(), new Vector3()];
-  const now = new Matrix4().fromArray(object.transform);
-  now.decompose(at, turn, size);
+  new Matrix4().fromArray(object.transform).decompose(at, turn, size);
   const euler = new Euler().setFromQuaternion(turn, 'YXZ');
   const degrees = [euler.x, euler.y, euler.z].map((angle) => (angle * 180) / Math.PI) as Point;
-  const become = (next: Matrix4) => {
-    const pivot = new Matrix4().makeTranslation(...center);
-    const linear = next.multiply(new Matrix4().compose(new Vector3(), turn, size).invert());
-    move(pivot.clone().multiply(linear).multiply(pivot.clone().invert()));
+  return { center: middle(object), turn, size, degrees };
+}
+
+/** Place, turn and size as numbers. An object turns and grows about its middle, wherever its origin is. */
+function place(object: SceneObject, { move }: Actions): HTMLElement[] {
+  const { center, degrees, size } = stand(object);
+  /** Changes it from where it stands by now. */
+  const change = (by: (its: ReturnType<typeof stand>, become: (next: Matrix4) => void) => void) => {
+    const found = objectNow(object.name);
+    if (!found) return;
+    const its = stand(found);
+    by(its, (next) => {
+      const pivot = new Matrix4().makeTranslation(...its.center);
+      const linear = next.multiply(new Matrix4().compose(new Vector3(), its.turn, its.size).invert());
+      move(pivot.clone().multiply(linear).multiply(pivot.clone().invert()));
+    });
   };
   return [
-    triple('Position', 'metres', center, 0.1, (axis, value) => {
-      const by: Point = [0, 0, 0];
-      by[axis] = value - Number(center[axis].toFixed(3));
-      move(new Matrix4().makeTranslation(...by));
-    }),
-    triple('Rotation', 'degrees', degrees, 5, (axis, value) => {
-      const next = [...degrees] as Point;
+    triple('Position', 'metres', center, 0.1, (axis, value) => change((its) => move(along(axis, value - Number(its.center[axis].toFixed(3)))))),
+    triple('Rotation', 'degrees', degrees, 5, (axis, value) => change((its, become) => {
+      const next = [...its.degrees] as Point;
       next[axis] = value;
       const [x, y, z] = next.map((angle) => (angle * Math.PI) / 180) as Point;
-      become(new Matrix4().compose(new Vector3(), new Quaternion().setFromEuler(new Euler(x, y, z, 'YXZ')), size));
-    }),
-    triple('Scale', 'factor', size.toArray() as Point, 0.1, (axis, value) => {
-      if (value === 0) return;
-      const next = size.clone().setComponent(axis, value);
-      become(new Matrix4().compose(new Vector3(), turn, next));
-    }),
+      become(new Matrix4().compose(new Vector3(), new Quaternion().setFromEuler(new Euler(x, y, z, 'YXZ')), its.size));
+    })),
+    triple('Scale', 'factor', size.toArray() as Point, 0.1, (axis, value) => value !== 0 && change((its, become) => {
+      become(new Matrix4().compose(new Vector3(), its.turn, its.size.clone().setComponent(axis, value)));
+    })),
   ];
+}
+
+/** So far along an axis. */
+function along(axis: 0 | 1 | 2, metres: number): Matrix4 {
+  const by: Point = [0, 0, 0];
+  by[axis] = metres;
+  return new Matrix4().makeTranslation(...by);
 }
 
 const UNITS = { emissive: 'W/(m² sr)', environment: 'W/(m² sr)', point: 'cd', spot: 'cd', directional: 'lx' };
 const NAMES = { emissive: 'surface that shines', environment: 'sky', point: 'point', spot: 'spot', directional: 'directional' };
 
 function ofLight(light: Light, actions: Actions, isObject: boolean): HTMLElement[] {
-  let { color: tint, intensity } = split(light.color, light.intensity);
+  const { color: tint, intensity } = split(light.color, light.intensity);
   const unit = light.rotation == null ? UNITS[light.kind] : 'times the picture';
-  const send = (done: boolean) => actions.relight([...tint], intensity, done);
+  /** As it is by now, with what is changed of it. */
+  const send = (next: { color?: Rgb; intensity?: number }, done: boolean) => {
+    const found = lightNow(light.name);
+    if (!found) return;
+    const its = split(found.color, found.intensity);
+    actions.relight([...(next.color ?? its.color)], next.intensity ?? its.intensity, done);
+  };
   const field = number(`Intensity, ${unit}`, intensity, { min: 0 }, (value) => {
-    [intensity, range.value] = [value, String(stops(value))];
-    send(true);
+    range.value = range.defaultValue = String(stops(value));
+    send({ intensity: value }, true);
   });
   // In stops about what it is: the same step is the same change, however strong it is.
-  const start = intensity > 0 ? intensity : 1;
-  const stops = (value: number) => (value > 0 ? Math.log2(value / start) : -6);
-  const range = slider('Intensity', [-6, 6, 0.1], stops(intensity), (value, done) => {
-    intensity = value <= -6 ? 0 : start * 2 ** value;
-    field.value = field.defaultValue = short(intensity);
-    send(done);
+  const start = () => Number(range.dataset['start']);
+  const stops = (value: number) => (value > 0 ? Math.log2(value / start()) : -6);
+  const range = slider('Intensity', [-6, 6, 0.1], intensity > 0 ? 0 : -6, (value, done) => {
+    const next = value <= -6 ? 0 : start() * 2 ** value;
+    field.value = field.defaultValue = short(next);
+    send({ intensity: next }, done);
   });
+  range.dataset['start'] = String(intensity > 0 ? intensity : 1);
   const parts = [
     make('p', { class: 'quiet' }, NAMES[light.kind] === light.kind ? `${light.kind} light` : NAMES[light.kind]),
     make('div', { class: 'row strength' }, make('span', {}, 'Intensity'), range, field, make('small', {}, unit)),
-    color('Colour', tint, (linear, done) => {
-      tint = linear;
-      send(done);
-    }),
+    color('Colour', tint, (linear, done) => send({ color: linear }, done)),
   ];
   if (light.position && !isObject) {
-    const at = light.position;
-    parts.push(triple('Position', 'metres', at, 0.1, (axis, value) => {
-      const by: Point = [0, 0, 0];
-      by[axis] = value - Number(at[axis].toFixed(3));
-      actions.move(new Matrix4().makeTranslation(...by));
+    parts.push(triple('Position', 'metres', light.position, 0.1, (axis, value) => {
+      const at = lightNow(light.name)?.position;
+      if (at) actions.move(along(axis, value - Number(at[axis].toFixed(3))));
     }));
   }
   if (light.direction && !isObject) {
-    const towards = light.direction;
-    parts.push(triple('Direction', 'towards', towards, 0.1, (axis, value) => {
-      const next = [...towards] as Point;
+    parts.push(triple('Direction', 'towards', light.direction, 0.1, (axis, value) => {
+      const next = [...(lightNow(light.name)?.direction ?? [0, 0, 0])] as Point;
       next[axis] = value;
       if (next.some((x) => x !== 0)) actions.aim(next);
     }));

@@ -96,10 +96,7 @@ export class Editor {
     const turn = async () => {
       await this.refresh().catch(() => {});
       const those = this.history ? turned(this.history, op) : [];
-      const jobs = those.map(({ request }, k) => this.run(`${op}: ${describe(request)}`, { op }, k > 0));
-      // Where the drag came by on its way is of no interest: what its jobs leave, the last one lights.
-      for (const by of jobs.slice(0, -1)) void by.then((job) => job && client.cancel(job.id)).catch(() => {});
-      await Promise.all(jobs);
+      if (those[0]) await this.run(`${op}: ${describe(those[0].request)}`, { op, drag: true });
     };
     this.turning = this.turning.then(turn);
     return this.turning;

@@ -10,12 +10,6 @@ addEventListener('pointerup', () => (held = false));
 addEventListener('pointercancel', () => (held = false));
 export const isHeld = () => held;
 
-/** Something is half written. */
-export function isTyping(): boolean {
-  const field = document.activeElement;
-  return field instanceof HTMLInputElement && ['number', 'text'].includes(field.type) && field.value !== field.defaultValue;
-}
-
 /** Numbers as short as they can be without being other ones to a person. */
 export const short = (x: number): string => String(Number(x.toPrecision(4)));
 
@@ -36,23 +30,22 @@ export function number(name: string, value: number, options: { min?: number; ste
 }
 
 /** Three numbers along the axes. */
-export function triple(label: string, unit: string, at: Point, step: number, set: (axis: 0 | 1 | 2, value: number) => void): HTMLElement {
+export function triple(label: string, unit: string, at: Point, step: number, set: (axis: 0 | 1 | 2, value: number) => unknown): HTMLElement {
   const fields = (['x', 'y', 'z'] as const).map((axis, k) =>
     number(`${label} ${axis}, ${unit}`, Number(at[k]!.toFixed(3)), { step }, (value) => set(k as 0 | 1 | 2, value)),
   );
   return make('div', { class: 'triple' }, make('span', {}, label), ...fields);
 }
 
-/** A slider that tells every position, and where it rests (`done`). */
+/** A slider that tells every position, and where it rests (`done`). What it stands for may change while it stays. */
 export function slider(name: string, [min, max, step]: [number, number, number], value: number, input: (value: number, done: boolean) => void): HTMLInputElement {
   const range = make('input', { type: 'range', min: String(min), max: String(max), step: String(step), 'aria-label': name });
-  range.value = String(value);
+  range.value = range.defaultValue = String(value);
   range.addEventListener('pointerdown', () => (held = true));
   range.addEventListener('input', () => input(Number(range.value), false));
-  let rested = range.value;
   range.addEventListener('change', () => {
-    if (range.value === rested) return;
-    rested = range.value;
+    if (range.value === range.defaultValue) return;
+    range.defaultValue = range.value;
     input(Number(range.value), true);
   });
   return range;

@@ -32,42 +32,65 @@ interface List extends Choice {
 const namesOf = (item: Item) => item.group?.names ?? [item.name];
 const keyOf = (item: Item) => (item.group ? `group ${item.name}` : item.name);
 
-/** Shows a list; what is the same as before stays as it is. */
+/** Shows a list. Rows stay what they are by their keys: a click that has begun, the focus, and what a screen reader has in
+ * hand outlive an update. */
 export function show(id: string, items: Item[], choice: Choice): void {
   const parent = $<HTMLUListElement>(id);
   const { chosen } = choice;
-  const shown = JSON.stringify([items, chosen]);
-  if (parent.dataset['shown'] === shown) return;
-  parent.dataset['shown'] = shown;
+  const before = new Map([...parent.children].map((row) => [(row as HTMLLIElement).dataset['key']!, row as HTMLLIElement]));
   const hadFocus = parent.contains(document.activeElement);
   const focused = hadFocus ? (document.activeElement as HTMLElement).dataset['key'] : undefined;
   const keys = items.map(keyOf);
   // Where the tab key gets in: what had the focus, else what was chosen last, else the first.
-  const stop = [focused, chosen.at(-1), keys[0]].find((key) => key != null && keys.includes(key));
+  const known = new Set(keys);
+  const stop = [focused, chosen.at(-1), keys[0]].find((key) => key != null && known.has(key));
   const isChosen = new Set(chosen);
   const role = parent.getAttribute('role') === 'tree' ? 'treeitem' : 'option';
-  const rows = items.map((item) => {
-    const isSelected = namesOf(item).every((name) => isChosen.has(name));
-    const row = make('li', { role, 'aria-selected': String(isSelected), title: item.name });
-    if (item.group) row.append(make('i', { class: 'twist' }, item.group.isOpen ? '▾' : '▸'));
-    row.append(item.name);
-    if (item.group) row.setAttribute('aria-expanded', String(item.group.isOpen));
-    else row.dataset['name'] = item.name;
-    if (role === 'treeitem') row.setAttribute('aria-level', item.isWithin ? '2' : '1');
-    row.dataset['key'] = keyOf(item);
-    row.tabIndex = keyOf(item) === stop ? 0 : -1;
-    row.draggable = item.isDraggable ?? false;
-    if (item.note) row.append(make('small', {}, ` ${item.note}`));
-    row.classList.toggle('faint', item.isFaint ?? false);
-    row.classList.toggle('within', item.isWithin ?? false);
+  const rows = items.map((item, at) => {
+    const row = before.get(keys[at]!) ?? make('li', { role });
+    before.delete(keys[at]!);
+    fill(row, item, namesOf(item).every((name) => isChosen.has(name)), keys[at] === stop);
     return row;
   });
-  parent.replaceChildren(...rows);
+  for (const gone of before.values()) gone.remove();
+  // Only those that stand elsewhere are moved: a row that is taken out loses the focus.
+  rows.forEach((row, at) => {
+    if (parent.children[at] !== row) parent.insertBefore(row, parent.children[at] ?? null);
+  });
   const list: List = { ...choice, parent, items, rows };
   parent.onclick = (event) => clicked(event, list);
   parent.onkeydown = (event) => keyed(event, list);
-  if (hadFocus) rows.find((row) => row.tabIndex === 0)?.focus();
-  else rows.find((row) => row.dataset['name'] === chosen.at(-1))?.scrollIntoView({ block: 'nearest' });
+  const last = chosen.at(-1);
+  const isNews = parent.dataset['last'] !== (last ?? '');
+  parent.dataset['last'] = last ?? '';
+  if (hadFocus && !parent.contains(document.activeElement)) rows.find((row) => row.tabIndex === 0)?.focus();
+  else if (isNews && !hadFocus) rows.find((row) => row.dataset['name'] === last)?.scrollIntoView({ block: 'nearest' });
+}
+
+/** Has a row tell an item; what it tells already is left alone. */
+function fill(row: HTMLLIElement, item: Item, isSelected: boolean, isStop: boolean): void {
+  const set = (name: string, value: string | null) => {
+    if (row.getAttribute(name) === value) return;
+    if (value === null) row.removeAttribute(name);
+    else row.setAttribute(name, value);
+  };
+  set('aria-selected', String(isSelected));
+  set('title', item.name);
+  set('aria-expanded', item.group ? String(item.group.isOpen) : null);
+  set('data-name', item.group ? null : item.name);
+  set('data-key', keyOf(item));
+  if (row.getAttribute('role') === 'treeitem') set('aria-level', item.isWithin ? '2' : '1');
+  set('tabindex', isStop ? '0' : '-1');
+  set('draggable', String(item.isDraggable ?? false));
+  row.classList.toggle('faint', item.isFaint ?? false);
+  row.classList.toggle('within', item.isWithin ?? false);
+  const text = JSON.stringify([item.name, item.note, item.group?.isOpen]);
+  if (row.dataset['text'] === text) return;
+  row.dataset['text'] = text;
+  const parts: (Node | string)[] = [item.name];
+  if (item.group) parts.unshift(make('i', { class: 'twist' }, item.group.isOpen ? '▾' : '▸'));
+  if (item.note) parts.push(make('small', {}, ` ${item.note}`));
+  row.replaceChildren(...parts);
 }
 
 function clicked(event: MouseEvent, list: List): void {
@@ -103,7 +126,8 @@ function keyed(event: KeyboardEvent, list: List): void {
   const to = { ArrowDown: at + 1, ArrowUp: at - 1, Home: 0, End: rows.length - 1, PageDown: at + 10, PageUp: at - 10 }[event.key];
   if (to !== undefined) {
     const next = Math.max(0, Math.min(rows.length - 1, to));
-    for (const row of rows) row.tabIndex = row === rows[next] ? 0 : -1;
+    for (const row of list.parent.querySelectorAll<HTMLLIElement>('[tabindex="0"]')) row.tabIndex = -1;
+    rows[next]!.tabIndex = 0;
     rows[next]!.focus();
     if (event.shiftKey) upTo(next, list);
   } else if (event.key === 'Enter' || event.key === ' ') only(at, list, isMore);

@@ -1,7 +1,8 @@
 // Wires it all together: one scene at a time, followed live.
 
-import { isOpen, type Job, type Light, type Rgb, type Scene, type Snapshot, type Upload } from 'rebake';
+import { isOpen, type Job, type Light, type Rgb, type Scene, type Snapshot } from 'rebake';
 import { client } from './api';
+import { Arrivals } from './arrivals';
 import { coalesce } from './coalesce';
 import { Commands } from './commands';
 import { watchControls } from './controls';
@@ -81,6 +82,8 @@ let scene: Scene | null = null;
 /** Names of the objects before the last edit: the others have no light to compare with. */
 let before = new Set<string>();
 let shownMesh = '';
+/** Accepted edits that the objects and lights of the scene have in them, published or not. */
+let toldEdits = 0;
 /** Accepted edits that the scene as it is shown has in it; −1 while another one is about to be shown. */
 let seen = 0;
 /** Counts scenes that were opened: of two at once the later one stays. */
@@ -91,6 +94,7 @@ const views = new Views(() => scene, stage, map, attempt, () => feed.filter);
 const relighting = new Relighting(map, () => feed.filter);
 const grid = () => Number($<HTMLSelectElement>('grid').value);
 const commands = new Commands({ scene: () => scene, selection, choose, stops: () => views.exposure, grid }, editor, stage, map);
+const arrivals = new Arrivals({ scene: () => scene, open: listScenes, panels }, library, stage, commands);
 
 /** Runs something that may fail, and says how; what the service refused may rest on an old state of the scene. */
 function attempt(what: () => Promise<unknown>): Promise<void> {
@@ -132,7 +136,8 @@ async function open(id: string): Promise<void> {
   const found = await client.prepared(id);
   if (mine !== opened) return;
   scene = found;
-  seen = scene.accepted_edits;
+  toldEdits = scene.accepted_edits;
+  seen = scene.published_edits;
   location.hash = id;
   $<HTMLSelectElement>('scenes').value = id;
   $('welcome').hidden = true;
@@ -153,8 +158,11 @@ function offerLight(): void {
 
 /** Fetches the mesh where its elements changed since. */
 async function showMesh(): Promise<void> {
-  const key = JSON.stringify(scene!.objects.map((o) => [o.name, o.elements, o.bounds, o.transform]));
-  if (key === shownMesh) {
+  // What was accepted and is not published yet comes with its version, what is in the hand is shown there: until then the
+  // mesh is that of before.
+  const isBehind = stage.isHeld || scene!.published_edits < toldEdits;
+  const key = isBehind ? 'behind' : JSON.stringify(scene!.objects.map((o) => [o.name, o.elements, o.bounds, o.transform]));
+  if (key === shownMesh || (isBehind && shownMesh)) {
     stage.look(scene!);
     return;
   }
@@ -174,17 +182,17 @@ const refresh = coalesce(async () => {
   const now = await client.scene(id);
   if (scene?.id !== id) return;
   // It may have been asked before the answer to an edit that came meanwhile.
-  const { accepted_edits } = now;
+  const { accepted_edits, published_edits } = now;
   now.accepted_edits = Math.max(now.accepted_edits, scene.accepted_edits);
   const last = scene;
   // None of it is shown yet, not even where this was accepted before.
-  [scene, seen] = [now, -1];
+  [scene, seen, toldEdits] = [now, -1, accepted_edits];
   // What was accepted and is selected already may not be there yet.
   const has = (of: Scene, { kind, name }: Picked) => (kind === 'object' ? of.objects : of.lights).some((one) => one.name === name);
   selection.keep((one) => has(now, one) || !has(last, one));
   await showMesh();
   if (scene?.id !== id) return;
-  seen = accepted_edits;
+  seen = published_edits;
   stage.select(selection.all);
   panels();
   // The layers' weights may be new.
@@ -270,28 +278,6 @@ stage.onGrab = () => commands.grab();
 stage.onDrag = (by) => void attempt(() => commands.drag(by));
 stage.onDrop = (by) => void attempt(() => commands.drop(by));
 
-async function upload(file: File, settings: Upload | null): Promise<void> {
-  if (!settings) return;
-  say(`Uploading ${file.name}…`);
-  const created = await client.upload(file, settings);
-  await listScenes(created.id);
-  if (created.warnings.length && scene?.lights.length) banner(created.warnings.join('; '), true, { 'All right': () => {} });
-}
-
-async function addAsset(file: File): Promise<void> {
-  const { name } = await library.add(file);
-  say(`${name} is in the library: choose it to put it into the scene, or drag it there`);
-  panels();
-}
-
-/** Something is dropped onto the scene: it comes to stand there. */
-async function placeAt(what: File | string, at: MouseEvent): Promise<void> {
-  const where = stage.spotUnder(at) ?? stage.ahead();
-  const thing = typeof what === 'string' ? library.find(what) : await library.add(what);
-  panels();
-  if (thing) await commands.insert(thing, where);
-}
-
 // ---- the page
 
 function panels(): void {
@@ -361,8 +347,8 @@ watchKeys({
   expose: (by) => views.expose(views.exposure + by),
   view: (index) => views.set($<HTMLSelectElement>('view').options[index]?.value ?? views.current),
 });
-onFile('file', (file) => attempt(async () => upload(file, await ask(file))));
-onFile('asset-file', (file) => attempt(() => addAsset(file)));
+onFile('file', (file) => attempt(async () => arrivals.upload(file, await ask(file))));
+onFile('asset-file', (file) => attempt(() => arrivals.asset(file)));
 watchControls({
   open: (id) => void attempt(() => open(id)),
   about() {
@@ -384,9 +370,9 @@ watchControls({
 });
 watchDrops({
   canPlace: () => scene !== null,
-  scene: (file) => void attempt(async () => upload(file, await ask(file))),
-  library: (file) => void attempt(() => addAsset(file)),
-  place: (what, at) => void attempt(() => placeAt(what, at)),
+  scene: (file) => void attempt(async () => arrivals.upload(file, await ask(file))),
+  library: (file) => void attempt(() => arrivals.asset(file)),
+  place: (what, at) => void attempt(() => arrivals.place(what, at)),
 });
 showNumbers(() => stage.frameMs);
 // For the console and for tests.

@@ -6,6 +6,8 @@ import type { Picked } from './selection';
 
 export class Markers {
   private readonly all = new Map<string, Mesh<SphereGeometry, MeshBasicMaterial>>();
+  /** Where they stood when some of them were taken hold of. */
+  private grabbed = new Map<string, Vector3>();
 
   constructor(private readonly parent: Object3D) {}
 
@@ -36,9 +38,20 @@ export class Markers {
     }
   }
 
-  /** Shows one by so much beside where it stands. */
+  /** What moves by something moves from here, wherever it is shown meanwhile. */
+  grab(): void {
+    this.grabbed = new Map([...this.all].map(([name, marker]) => [name, marker.position.clone()]));
+  }
+
+  /** Shows one by so much beside where it was taken hold of. */
   move(name: string, by: Matrix4): void {
     const marker = this.all.get(name);
-    if (marker) marker.position.copy(marker.userData['at'] as Vector3).applyMatrix4(by);
+    if (marker) marker.position.copy(this.grabbed.get(name) ?? (marker.userData['at'] as Vector3)).applyMatrix4(by);
+  }
+
+  /** Shows one where it stands. */
+  settleBack(name: string): void {
+    const marker = this.all.get(name);
+    if (marker) marker.position.copy(marker.userData['at'] as Vector3);
   }
 }

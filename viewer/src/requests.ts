@@ -4,16 +4,15 @@ import type { Edit, HistoryEntry, HistoryPage } from 'rebake';
 
 const editsOf = (request: object) => ('edits' in request ? request.edits : [request]) as Edit[];
 
-/** Lights that a request drags along, where it does nothing else; it is a step then, and not where they come to rest. */
+/** What a request drags along, where it does nothing else; it is a step then, and not where that comes to rest. */
 function draggedBy({ request }: HistoryEntry): string | null {
-  const edits = editsOf(request);
-  const areSteps = edits.every((edit) => edit.op === 'move_light' && edit.drag);
+  const areSteps = editsOf(request).every((edit) => (edit.op === 'move_light' || edit.op === 'move') && edit.drag);
   return areSteps ? movedBy(request) : null;
 }
 
 function movedBy(request: object): string | null {
-  const edits = editsOf(request);
-  return edits.every((edit) => edit.op === 'move_light') ? JSON.stringify(edits.map((edit) => edit.light)) : null;
+  const moved = editsOf(request).map((edit) => (edit.op === 'move_light' ? `light ${edit.light}` : edit.op === 'move' ? `object ${edit.object}` : null));
+  return moved.includes(null) ? null : JSON.stringify(moved);
 }
 
 /** Whether a request is a step of a drag that goes on in the next one. */

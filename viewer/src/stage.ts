@@ -13,7 +13,7 @@ import { Markers } from './markers';
 import { shared, surface } from './material';
 import { asItWas } from './past';
 import type { Picked } from './selection';
-import { isUnder, rise, spotAt, type Spot } from './surfaces';
+import { drops, spotAt, type Spot } from './surfaces';
 import type { View } from './api';
 
 export class Stage {
@@ -39,6 +39,9 @@ export class Stage {
   private past: Group[] | null = null;
   private readonly markers = new Markers(this.scene);
   private selected: readonly Picked[] = [];
+  /** Where the meshes have the objects, and what is in the hand was taken hold of: by name, with its kind. */
+  private readonly stood = new Map<string, Matrix4>();
+  private grabbed = new Map<string, Matrix4>();
   private dirty = true;
 
   constructor(private readonly canvas: HTMLCanvasElement) {
@@ -73,6 +76,11 @@ export class Stage {
       this.draw();
     };
     requestAnimationFrame(frame);
+  }
+
+  /** Something is in the hand. */
+  get isHeld(): boolean {
+    return this.gizmo.isHeld;
   }
 
   invalidate(): void {
@@ -131,6 +139,7 @@ export class Stage {
         group.add(mesh);
       });
       group.matrixAutoUpdate = false;
+      this.stood.set(name, new Matrix4().fromArray(object.transform));
       group.userData['picked'] = { kind: 'object', name } satisfies Picked;
       this.objects.set(name, group);
       this.scene.add(group);
@@ -182,17 +191,7 @@ export class Stage {
 
   /** By how much each of these objects has to rise to stand on what is below it, the others where they come to stand. */
   dropsOf(names: string[]): Map<string, number> {
-    const boxes = new Map([...this.objects].map(([name, group]) => [name, new Box3().setFromObject(group)]));
-    const found = new Map<string, number>();
-    for (const name of names.filter((one) => boxes.has(one)).sort((a, b) => boxes.get(a)!.min.y - boxes.get(b)!.min.y)) {
-      const [group, box] = [this.objects.get(name)!, boxes.get(name)!];
-      const others = [...boxes].filter(([other, its]) => other !== name && isUnder(its, box)).map(([other]) => this.objects.get(other)!);
-      const by = rise(box, others);
-      if (by === null || Math.abs(by) < 1e-4) continue;
-      place(group, new Matrix4().makeTranslation(0, by, 0));
-      box.translate(new Vector3(0, by, 0));
-      found.set(name, by);
-    }
+    const found = drops(names, this.objects, place);
     this.invalidate();
     return found;
   }
@@ -200,7 +199,7 @@ export class Stage {
   /** Everything stands where the scene has it: what was moved here was not moved there. */
   settleBack(): void {
     for (const group of this.objects.values()) place(group, new Matrix4());
-    for (const { name } of this.selected) this.markers.move(name, new Matrix4());
+    for (const { name } of this.selected) this.markers.settleBack(name);
     this.select(this.selected);
   }
 
@@ -310,11 +309,11 @@ export class Stage {
     return box.isEmpty() ? null : box;
   }
 
-  /** Shows what is selected by so much beside where the scene has it. */
+  /** Shows what is selected by so much beside where it was taken hold of, wherever the scene has it by now. */
   private shift(by: Matrix4): void {
     for (const { kind, name } of this.selected) {
-      const group = kind === 'object' ? this.objects.get(name) : undefined;
-      if (group) place(group, by);
+      const [group, stood, from] = [kind === 'object' ? this.objects.get(name) : undefined, this.stood.get(name), this.grabbed.get(name)];
+      if (group) place(group, stood && from ? by.clone().multiply(from).multiply(stood.clone().invert()) : by);
       else this.markers.move(name, by);
     }
     this.invalidate();
@@ -322,7 +321,11 @@ export class Stage {
 
   private held(is: boolean): void {
     this.orbit.enabled = !is;
-    if (is) return this.onGrab();
+    if (is) {
+      this.grabbed = new Map([...this.objects].map(([name, group]) => [name, group.matrix.clone().multiply(this.stood.get(name)!)]));
+      this.markers.grab();
+      return this.onGrab();
+    }
     const { by } = this.gizmo;
     this.onDrop(by);
     this.select(this.selected);

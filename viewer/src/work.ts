@@ -27,6 +27,10 @@ export function work(jobs: Job[], scene: Scene | null, actions: WorkActions): vo
   again?.focus();
   const waiting = jobs.filter((job) => isOpen(job) && job !== current).reverse();
   const how = (job: Job) => (job.state === 'paused' ? 'is paused' : job.merged_into ? 'is done with the one that runs' : 'waits');
+  const shown = JSON.stringify(waiting.map((job) => [job.id, job.state, job.merged_into, job.pause_requested]));
+  // A click that has begun is not lost when progress comes.
+  if ($('queue').dataset['shown'] === shown) return;
+  $('queue').dataset['shown'] = shown;
   const items = waiting.map((job) => {
     const buttons = job.pause_requested ? [button('Continue', () => actions.resume(job))] : [];
     return make('li', {}, make('span', {}, `${job.kind} ${how(job)}`), ...buttons, button('Cancel', () => actions.cancel(job)));

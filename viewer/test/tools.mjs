@@ -1,5 +1,7 @@
 // What a level artist does all day: place, copy, light, take back, and not lose work.
 
+import { drag, updates } from './hands.mjs';
+import { close, extent, found, middle, undo } from './helpers.mjs';
 import { patch } from './pictures.mjs';
 
 export async function checkTools(about) {
@@ -9,28 +11,12 @@ export async function checkTools(about) {
   await drops(about);
   await lamps(about);
   await drag(about);
+  await updates(about);
   await lists(about);
   await away(about);
   await late(about);
   await others(about);
   await history(about);
-}
-
-const close = (a, b, within = 2e-3) => Math.abs(a - b) < within;
-const extent = ({ bounds: { min, max } }) => min.map((low, k) => max[k] - low);
-const middle = ({ bounds: { min, max } }) => min.map((low, k) => (low + max[k]) / 2);
-
-/** An object of the scene as the page knows it. */
-const found = async ({ state }, name) => (await state()).scene.objects.find((o) => o.name === name);
-
-async function undo({ page, state, settled }, times = 1) {
-  for (let k = 0; k < times; k++) {
-    const { scene } = await state();
-    await page.locator('#undo').click();
-    await page.waitForFunction((n) => window.rebake.state().scene.accepted_edits > n, scene.accepted_edits);
-    await page.waitForFunction(() => window.rebake.state().fresh);
-  }
-  await settled();
 }
 
 /** Types a number into a field, and waits until an object is otherwise. */
@@ -183,42 +169,6 @@ async function drops(about) {
   await shot('20c-dropped');
   await undo(about, 2);
   check(!(await state()).scene.objects.some((o) => o.name.startsWith('box')), 'and both are taken back');
-}
-
-/** A lamp is lit where it is dragged along, and the drag is one step of undo. */
-async function drag(about) {
-  const { page, check, settled, state, project } = about;
-  const { scene } = await state();
-  await page.selectOption('#add-light', 'point');
-  await page.waitForFunction((n) => window.rebake.state().selected[0]?.name === 'point-1' && window.rebake.state().scene.lights.length > n, scene.lights.length);
-  await settled();
-  const lamp = async () => (await state()).scene.lights.find((l) => l.name === 'point-1').position;
-  const [was, box] = [await lamp(), await page.locator('#stage').boundingBox()];
-  const screen = async (p) => (await project(p)).map((x, k) => (k ? box.y + x * box.height : box.x + x * box.width));
-  const [from, to] = [await screen(was), await screen([was[0] + 1, was[1], was[2]])];
-  const along = (t) => [from[0] + (to[0] - from[0]) * t, from[1] + (to[1] - from[1]) * t];
-  let grip = 0;
-  for (let t = 0.05; t < 2 && !grip; t += 0.03) {
-    await page.mouse.move(...along(t));
-    if ((await page.evaluate(() => window.rebake.stage.gizmo.axis)) === 'X') grip = t;
-  }
-  const { accepted_edits } = (await state()).scene;
-  await page.mouse.down();
-  await page.mouse.move(...along(grip + 0.1));
-  await page.mouse.move(...along(grip + 0.2));
-  await page.waitForFunction((n) => window.rebake.state().scene.accepted_edits > n, accepted_edits);
-  check(true, 'a lamp is lit where it is dragged along');
-  await page.mouse.move(...along(grip + 0.5));
-  await page.mouse.up();
-  await page.waitForFunction((x) => window.rebake.state().scene.lights.find((l) => l.name === 'point-1').position[0] > x + 0.3, was[0]);
-  await settled();
-  const rows = () => page.locator('#history li').allTextContents();
-  check((await rows()).slice(0, 2).join() === 'move point-1,insert point-1', 'its way is one row of the history');
-  await page.locator('#undo').click();
-  await page.waitForFunction((x) => Math.abs(window.rebake.state().scene.lights.find((l) => l.name === 'point-1').position[0] - x) < 1e-5, was[0]);
-  await settled();
-  check((await lamp()).every((x, k) => close(x, was[k], 1e-5)), 'and is taken back at once');
-  await undo(about);
 }
 
 async function lists(about) {
