@@ -21,13 +21,14 @@ use crate::engine::{self, AtlasOptions, Plan, World};
 use crate::mode::Mode;
 use crate::state::{App, Phase};
 use crate::store::StoreError;
+use crate::store::accepted::Head;
 use crate::store::assets::{Assets, Content};
 use crate::store::disk::{Disk, Saved, SavedEdit, SavedScene};
 use crate::store::history::History;
 use crate::store::keys::IdempotencyKeys;
 use crate::store::lighting::{Lighting, unknown_of_saved};
 use crate::store::records::{LightRecord, Origin, SceneRecord, StoredAtlas, StoredOutside};
-use crate::store::scene::{Head, NewScene, SceneEntry, SceneState};
+use crate::store::scene::{NewScene, SceneEntry, SceneState};
 use crate::store::versions::{Published, RESERVE};
 use crate::unit::LightUnit;
 

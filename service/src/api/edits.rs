@@ -28,11 +28,12 @@ use crate::jobs::seeds::next_seed;
 use crate::jobs::{About, JobSpec, new_record};
 use crate::memory;
 use crate::state::App;
+use crate::store::accepted::Head;
 use crate::store::assets::Assets;
 use crate::store::history::{self, History};
 use crate::store::lighting::{Sequence, Unlit};
 use crate::store::records::{Accepted, EditRecord, KeyRecord};
-use crate::store::scene::{Head, SceneEntry};
+use crate::store::scene::SceneEntry;
 
 /// Edits a scene. The edit is checked against the scene with all edits accepted before, takes effect as a unit or not
 /// at all, and is lit by the job that is answered.

@@ -3,21 +3,21 @@
 use std::collections::{BTreeSet, HashMap};
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
 use async_nats::jetstream::{self, stream::Stream};
 use async_nats::{Client, Message};
 use bytes::Bytes;
 use futures_util::StreamExt;
-use rebake_core::{Estimate, NextPart, Offer};
+use rebake_core::{Estimate, Offer};
 use tokio::runtime::Handle;
 
-use super::board::{Board, Next};
 use super::messages::{
     CLOSED_SUBJECT, FORMAT, News, PRESENCE_SUBJECT, Task, What, news_subject, results_folder, stream, tasks_subject,
 };
 use super::objects::{Objects, checked};
+use super::offers::{Offered, OpenOffer};
 use super::snapshot::{self, Told};
 use super::{ClusterConfig, ClusterError, connect};
 use crate::ids::new_suffix;
@@ -28,9 +28,6 @@ use crate::store::lighting::Sequence;
 
 /// A worker that has not told for so long that it is there is not.
 const PRESENCE: Duration = Duration::from_secs(10);
-
-/// Whether a job was canceled is looked at so often while it waits for workers.
-const GLANCE: Duration = Duration::from_millis(100);
 
 /// A service that has others do parts of its bakes.
 pub(crate) struct Coordinator {
@@ -43,7 +40,7 @@ pub(crate) struct Coordinator {
     metrics: Arc<Metrics>,
     runtime: Handle,
     delegates: bool,
-    offers: Mutex<HashMap<String, Weak<Shared>>>,
+    offers: Mutex<HashMap<String, Weak<Offered>>>,
     newest: AtomicU64,
     /// Of each scene that was told to others: its edits by then, and the hash of the manifest.
     told: Mutex<HashMap<SceneNumber, (Sequence, String)>>,
@@ -57,31 +54,6 @@ struct Workers {
     heard: HashMap<String, Instant>,
     /// Those that have given nonsense.
     refused: BTreeSet<String>,
-}
-
-/// An offered round.
-struct Shared {
-    id: String,
-    slots: usize,
-    offered: Instant,
-    state: Mutex<State>,
-    news: Condvar,
-}
-
-struct State {
-    board: Board,
-    /// When a part was begun here.
-    begun: Option<Instant>,
-    /// Places in the queue of the tasks that are in it.
-    queued: HashMap<u32, u64>,
-    task: Option<Task>,
-    parts: Vec<u32>,
-}
-
-/// An offered round, until it is dropped.
-pub(crate) struct OpenOffer {
-    coordinator: Arc<Coordinator>,
-    shared: Arc<Shared>,
 }
 
 impl Coordinator {
@@ -116,21 +88,8 @@ impl Coordinator {
     /// Offers the parts of a round. They are told to others in the background.
     pub(crate) fn offer(self: &Arc<Coordinator>, told: &Told<'_>, offer: &Offer<'_>) -> OpenOffer {
         let id = format!("{}.{}", self.id, self.newest.fetch_add(1, Ordering::Relaxed));
-        let state = State {
-            board: Board::new(offer.parts.len()),
-            begun: None,
-            queued: HashMap::new(),
-            task: None,
-            parts: offer.parts.to_vec(),
-        };
-        let shared = Arc::new(Shared {
-            id: id.clone(),
-            slots: told.world.slots(),
-            offered: Instant::now(),
-            state: Mutex::new(state),
-            news: Condvar::new(),
-        });
-        self.offers().insert(id.clone(), Arc::downgrade(&shared));
+        let offered = Arc::new(Offered::new(id.clone(), told.world.slots(), offer.parts));
+        self.offers().insert(id.clone(), Arc::downgrade(&offered));
         let known = self.told_of(told.scene).filter(|(sequence, _)| *sequence == told.sequence);
         let gathered = match known {
             Some((_, hash)) => Ok((Some(hash), None)),
@@ -150,7 +109,7 @@ impl Coordinator {
         };
         match gathered {
             Ok((hash, gathered)) => {
-                let (coordinator, shared) = (self.clone(), shared.clone());
+                let (coordinator, offered) = (self.clone(), offered.clone());
                 let (scene, sequence, effort) = (told.scene, told.sequence, Bytes::copy_from_slice(offer.effort));
                 self.runtime.spawn(async move {
                     let tell = async {
@@ -164,7 +123,7 @@ impl Coordinator {
                             true => None,
                             false => Some(coordinator.objects.put_file(effort).await?),
                         };
-                        coordinator.queue(&shared, Task { snapshot, effort, ..task }).await
+                        coordinator.queue(&offered, Task { snapshot, effort, ..task }).await
                     };
                     let told: Result<(), ClusterError> = tell.await;
                     if let Err(error) = told {
@@ -174,47 +133,56 @@ impl Coordinator {
             }
             Err(error) => tracing::warn!(%error, "parts are not offered to workers"),
         }
-        OpenOffer { coordinator: self.clone(), shared }
+        OpenOffer::new(self.clone(), offered)
     }
 
     /// Puts the parts that wait into the queue.
-    async fn queue(&self, shared: &Shared, task: Task) -> Result<(), ClusterError> {
+    async fn queue(&self, offered: &Offered, task: Task) -> Result<(), ClusterError> {
         stream(&self.jetstream).await?;
-        shared.lock().task = Some(task);
-        let count = shared.lock().parts.len() as u32;
-        for part in (0..count).take_while(|_| self.is_open(shared)) {
-            self.queue_part(shared, part).await?;
+        offered.lock().task = Some(task);
+        let count = offered.lock().parts.len() as u32;
+        for part in (0..count).take_while(|_| self.is_open(offered)) {
+            self.queue_part(offered, part).await?;
         }
-        if !self.is_open(shared) {
-            self.unqueue_all(shared).await?;
+        if !self.is_open(offered) {
+            self.unqueue_all(offered).await?;
         }
         Ok(())
     }
 
-    async fn queue_part(&self, shared: &Shared, part: u32) -> Result<(), ClusterError> {
+    async fn queue_part(&self, offered: &Offered, part: u32) -> Result<(), ClusterError> {
         let task = {
-            let state = shared.lock();
+            let state = offered.lock();
             let Some(task) = state.task.as_ref().filter(|_| state.board.is_waiting(part)) else { return Ok(()) };
             let refused = self.workers().refused.iter().cloned().collect();
             Task { part, samples: state.parts[part as usize], refused, ..task.clone() }
         };
         let bytes = serde_json::to_vec(&task).map_err(|error| ClusterError::odd("a task", error))?;
         let sent =
-            self.jetstream.publish(tasks_subject(&shared.id), bytes.into()).await.map_err(ClusterError::queue)?;
+            self.jetstream.publish(tasks_subject(&offered.id), bytes.into()).await.map_err(ClusterError::queue)?;
         let place = sent.await.map_err(ClusterError::queue)?.sequence;
-        shared.lock().queued.insert(part, place);
+        offered.lock().queued.insert(part, place);
         Ok(())
     }
 
-    fn is_open(&self, shared: &Shared) -> bool {
-        self.offers().contains_key(&shared.id)
+    /// An offer is over.
+    pub(super) fn forget(&self, offer: &str) {
+        self.offers().remove(offer);
+    }
+
+    pub(super) fn metrics(&self) -> &Metrics {
+        &self.metrics
+    }
+
+    fn is_open(&self, offered: &Offered) -> bool {
+        self.offers().contains_key(&offered.id)
     }
 
     /// A worker has said something of an offer.
     async fn hear(self: &Arc<Coordinator>, message: Message) {
         let Some(offer) = message.subject.strip_prefix(news_subject("").as_str()) else { return };
-        let shared = self.offers().get(offer).and_then(Weak::upgrade);
-        let Some(shared) = shared else { return };
+        let offered = self.offers().get(offer).and_then(Weak::upgrade);
+        let Some(offered) = offered else { return };
         let Ok(news) = serde_json::from_slice::<News>(&message.payload) else {
             return tracing::warn!(offer, "a worker says what cannot be read");
         };
@@ -223,36 +191,36 @@ impl Coordinator {
             return;
         }
         self.is_there(&worker);
-        let is_this = shared.lock().task.as_ref().is_some_and(|task| task.round == round);
+        let is_this = offered.lock().task.as_ref().is_some_and(|task| task.round == round);
         if !is_this {
             return;
         }
         match what {
-            What::Working => shared.lock().board.working(part, &worker, shared.offered.elapsed()),
+            What::Working => offered.lock().board.working(part, &worker, offered.age()),
             What::Failed { reason } => {
                 tracing::warn!(worker, part, reason, "a worker cannot do a part");
-                shared.lock().board.failed(part, &worker);
+                offered.lock().board.failed(part, &worker);
             }
-            What::Done { hash, ms } => self.take(&shared, part, &worker, (&hash, ms)).await,
+            What::Done { hash, ms } => self.take(&offered, part, &worker, (&hash, ms)).await,
         }
-        shared.news.notify_all();
+        offered.notify();
     }
 
     /// Reads what a worker has kept, and refuses all of its results where that is nonsense.
-    async fn take(self: &Arc<Coordinator>, shared: &Arc<Shared>, part: u32, worker: &str, (hash, ms): (&str, u64)) {
+    async fn take(self: &Arc<Coordinator>, offered: &Arc<Offered>, part: u32, worker: &str, (hash, ms): (&str, u64)) {
         let task = {
-            let state = shared.lock();
+            let state = offered.lock();
             let samples = state.parts.get(part as usize).copied().unwrap_or_default();
             let task = state.task.clone().filter(|_| state.board.wants(part));
             task.map(|task| Task { part, samples, ..task })
         };
         let Some(task) = task else { return };
         let path = task.result_path(worker);
-        let read = async { read_result(self.objects.get(&path).await?, hash, &task, shared.slots) };
+        let read = async { read_result(self.objects.get(&path).await?, hash, &task, offered.slots) };
         match read.await {
             Ok(estimate) => {
                 tracing::debug!(worker, part, ms, "a part came");
-                shared.lock().board.done(part, estimate);
+                offered.lock().board.done(part, estimate);
                 self.metrics.part_done("elsewhere");
             }
             Err(error) => {
@@ -263,9 +231,9 @@ impl Coordinator {
                     workers.heard.remove(worker);
                     workers.refused.insert(worker.to_owned());
                 }
-                shared.lock().board.forget(worker);
+                offered.lock().board.forget(worker);
                 // Another worker may be sooner than this machine.
-                if let Err(error) = self.queue_part(shared, part).await {
+                if let Err(error) = self.queue_part(offered, part).await {
                     tracing::warn!(%error, "a part is not offered again");
                 }
             }
@@ -276,12 +244,12 @@ impl Coordinator {
     }
 
     /// Nobody waits for the parts of an offer any more.
-    async fn close(self: Arc<Coordinator>, shared: Arc<Shared>) {
+    pub(super) async fn close(self: Arc<Coordinator>, offered: Arc<Offered>) {
         let closed = async {
-            let id = shared.id.clone();
+            let id = offered.id.clone();
             self.client.publish(CLOSED_SUBJECT, id.into()).await.map_err(ClusterError::queue)?;
-            self.unqueue_all(&shared).await?;
-            self.objects.remove_all(&results_folder(&shared.id)).await
+            self.unqueue_all(&offered).await?;
+            self.objects.remove_all(&results_folder(&offered.id)).await
         };
         if let Err(error) = closed.await {
             tracing::debug!(%error, "an offer is not cleared away");
@@ -289,8 +257,8 @@ impl Coordinator {
     }
 
     /// One by one: where a subject is purged, nats-server 2.9 has the consumer skip what is in the queue of others.
-    async fn unqueue_all(&self, shared: &Shared) -> Result<(), ClusterError> {
-        let places: Vec<u64> = shared.lock().queued.drain().map(|(_, place)| place).collect();
+    async fn unqueue_all(&self, offered: &Offered) -> Result<(), ClusterError> {
+        let places: Vec<u64> = offered.lock().queued.drain().map(|(_, place)| place).collect();
         if places.is_empty() {
             return Ok(());
         }
@@ -303,7 +271,7 @@ impl Coordinator {
         Ok(())
     }
 
-    async fn unqueue(self: Arc<Coordinator>, place: u64) {
+    pub(super) async fn unqueue(self: Arc<Coordinator>, place: u64) {
         let deleted = async {
             let stream: Stream = stream(&self.jetstream).await?;
             stream.delete_message(place).await.map_err(ClusterError::queue)
@@ -349,7 +317,7 @@ impl Coordinator {
         workers.heard.len()
     }
 
-    fn leaves_parts(&self) -> bool {
+    pub(super) fn leaves_parts(&self) -> bool {
         self.delegates && self.worker_count() > 0
     }
 
@@ -357,7 +325,7 @@ impl Coordinator {
         self.workers.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn offers(&self) -> MutexGuard<'_, HashMap<String, Weak<Shared>>> {
+    fn offers(&self) -> MutexGuard<'_, HashMap<String, Weak<Offered>>> {
         self.offers.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -405,50 +373,5 @@ async fn count_workers(coordinator: Weak<Coordinator>, client: Client) {
     while let Some(message) = presence.next().await {
         let Some(coordinator) = coordinator.upgrade() else { return };
         coordinator.is_there(&String::from_utf8_lossy(&message.payload));
-    }
-}
-
-impl Shared {
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl OpenOffer {
-    /// What the bake does next. Waits for workers, if there is nothing better to do, until `is_canceled`.
-    pub(crate) fn next(&self, missing: &[u32], is_canceled: impl Fn() -> bool) -> NextPart {
-        let shared = &self.shared;
-        let mut state = shared.lock();
-        if let Some(begun) = state.begun.take() {
-            state.board.done_here(begun.elapsed());
-            self.coordinator.metrics.part_done("here");
-        }
-        loop {
-            if is_canceled() {
-                // Its first tile ends it.
-                return NextPart::Run(missing[0]);
-            }
-            match state.board.next(missing, shared.offered.elapsed(), self.coordinator.leaves_parts()) {
-                Next::Take(estimate) => return NextPart::Take(*estimate),
-                Next::Run(part) => {
-                    state.begun = Some(Instant::now());
-                    if let Some(place) = state.queued.remove(&part) {
-                        self.coordinator.runtime.spawn(self.coordinator.clone().unqueue(place));
-                    }
-                    return NextPart::Run(part);
-                }
-                Next::Wait => {
-                    let woken = shared.news.wait_timeout(state, GLANCE);
-                    state = woken.unwrap_or_else(PoisonError::into_inner).0;
-                }
-            }
-        }
-    }
-}
-
-impl Drop for OpenOffer {
-    fn drop(&mut self) {
-        self.coordinator.offers().remove(&self.shared.id);
-        self.coordinator.runtime.spawn(self.coordinator.clone().close(self.shared.clone()));
     }
 }

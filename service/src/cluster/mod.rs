@@ -4,13 +4,14 @@
 //!
 //! The queue is a work queue of NATS JetStream: a part is acknowledged when its result is kept, and given to another worker
 //! where the first one falls silent. Files go by an object store (`objects`). `messages` are what machines say to each
-//! other, `snapshot` is a scene as others can have it, `board` decides what is done where, `coordinator` speaks for a
-//! bake, `worker` works for others. `publication` puts versions where a `replica` finds them, which serves reads.
+//! other, `snapshot` is a scene as others can have it, `board` decides what is done where, `offers` and
+//! `coordinator` speak for a bake, `worker` works for others. `publication` puts versions where a `replica` finds them, which serves reads.
 
 mod board;
 mod coordinator;
 mod messages;
 mod objects;
+mod offers;
 mod publication;
 mod replica;
 mod snapshot;
@@ -20,8 +21,9 @@ use std::fmt::Display;
 
 use async_nats::{Client, ConnectOptions};
 
-pub(crate) use coordinator::{Coordinator, OpenOffer};
+pub(crate) use coordinator::Coordinator;
 use messages::FORMAT;
+pub(crate) use offers::OpenOffer;
 pub(crate) use publication::publish;
 pub use replica::replicate;
 pub(crate) use snapshot::Told;

@@ -22,12 +22,13 @@ use crate::ids::Ids;
 use crate::jobs::tell_scene;
 use crate::server;
 use crate::state::App;
+use crate::store::accepted::Head;
 use crate::store::disk::codec;
 use crate::store::history::History;
 use crate::store::keys::IdempotencyKeys;
 use crate::store::lighting::Lighting;
 use crate::store::records::LightRecord;
-use crate::store::scene::{Head, NewScene, SceneEntry, SceneState};
+use crate::store::scene::{NewScene, SceneEntry, SceneState};
 use crate::store::versions::Published;
 
 /// A replica looks by itself so often: messages may be lost.

@@ -10,6 +10,7 @@ mod lifecycle;
 pub(crate) mod merge;
 mod observer;
 mod phases;
+mod piece;
 pub mod queue;
 pub mod scheduler;
 pub(crate) mod seeds;

@@ -7,7 +7,8 @@ use rayon::ThreadPool;
 use rebake_core::edit::Cost;
 
 use super::merge::dragged_by;
-use super::observer::{JobObserver, Piece, Yields};
+use super::observer::JobObserver;
+use super::piece::{Piece, Yields};
 use super::queue::{JobKind, JobNumber, Outcome, RunEnd};
 use super::seeds::mixed;
 use super::stop::{Asked, Stop};

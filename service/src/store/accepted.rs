@@ -2,8 +2,23 @@
 
 use std::sync::OnceLock;
 
+use super::history::History;
+use super::keys::IdempotencyKeys;
 use super::lighting::Sequence;
 use crate::engine::{ObjectSummary, World, objects};
+
+/// What the next edit is validated against.
+pub(crate) struct Head {
+    /// After all accepted edits.
+    pub(crate) world: World,
+    /// Accepted edit requests that changed something.
+    pub(crate) sequence: Sequence,
+    /// Jobs of this scene so far: seeds derive from it.
+    pub(crate) jobs: u64,
+    pub(crate) keys: IdempotencyKeys,
+    /// What was accepted, and the way back.
+    pub(crate) history: History,
+}
 
 /// A scene after its last accepted edit.
 pub(crate) struct AcceptedWorld {

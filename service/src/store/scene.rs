@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use jiff::Timestamp;
 use tokio::sync::watch;
 
-use super::accepted::AcceptedWorld;
+use super::accepted::{AcceptedWorld, Head};
 use super::atlas::MadeAtlas;
 use super::computed::KeptPart;
 use super::deltas::KeptDeltas;
@@ -79,19 +79,6 @@ pub(crate) enum SceneState {
     Ready,
     /// It cannot be served: only looked at and deleted.
     Damaged,
-}
-
-/// What the next edit is validated against.
-pub(crate) struct Head {
-    /// After all accepted edits.
-    pub(crate) world: World,
-    /// Accepted edit requests that changed something.
-    pub(crate) sequence: Sequence,
-    /// Jobs of this scene so far: seeds derive from it.
-    pub(crate) jobs: u64,
-    pub(crate) keys: IdempotencyKeys,
-    /// What was accepted, and the way back.
-    pub(crate) history: History,
 }
 
 impl SceneEntry {
