@@ -92,23 +92,23 @@ impl App {
     pub(crate) fn new(config: Config) -> Result<(Arc<App>, ToRestore), StartError> {
         let Some(directory) = &config.data_dir else {
             let store = if config.cluster.is_some() { InMemory::with_origins() } else { InMemory::default() };
-            return Ok((App::with_store(config, Ids::new(), Arc::new(store))?, None));
+            return Ok((App::with_store(config, Ids::new(), Arc::new(store), Phase::Serving)?, None));
         };
         let disk = Disk::open(directory, config.faults.clone(), config.limits.idempotency_keys)?;
         let saved = disk.load(&new_suffix())?;
         let ids = Ids::of_life(saved.suffix.clone(), saved.life);
         let disk = Arc::new(disk);
-        let app = App::with_store(config, ids, disk.clone())?;
-        app.phase.send_replace(Phase::Restoring);
+        let app = App::with_store(config, ids, disk.clone(), Phase::Restoring)?;
         Ok((app, Some((disk, saved))))
     }
 
     /// A state that keeps nothing, with ids of another service.
     pub(crate) fn in_memory(config: Config, ids: Ids) -> Result<Arc<App>, StartError> {
-        App::with_store(config, ids, Arc::new(InMemory::default()))
+        App::with_store(config, ids, Arc::new(InMemory::default()), Phase::Serving)
     }
 
-    fn with_store(config: Config, ids: Ids, store: Arc<dyn Store>) -> Result<Arc<App>, StartError> {
+    fn with_store(config: Config, ids: Ids, store: Arc<dyn Store>, phase: Phase) -> Result<Arc<App>, StartError> {
+        let phase = watch::Sender::new(phase);
         let config = Arc::new(config);
         let (limits, timeouts) = (&config.limits, &config.timeouts);
         let compute = Compute::new(config.threads)?;
@@ -129,7 +129,13 @@ impl App {
         })?;
         if let Some(coordinator) = coordinator {
             let runtime = coordinator.runtime().clone();
-            runtime.spawn(publish(coordinator, ids.clone(), scenes.clone(), store.clone(), compute.clone()));
+            let mut restoring = phase.subscribe();
+            let restored = async move {
+                // The sender lives as long as the service.
+                let _ = restoring.wait_for(|phase| *phase != Phase::Restoring).await;
+            };
+            let kept = (scenes.clone(), store.clone());
+            runtime.spawn(publish(coordinator, ids.clone(), kept, compute.clone(), restored));
         }
         Ok(Arc::new(App {
             memory: Memory::new(limits.memory_bytes, scenes.clone(), assets.clone(), store.clone()),
@@ -138,7 +144,7 @@ impl App {
             streams: Arc::new(Semaphore::new(limits.streams)),
             upload_keys: Arc::new(UploadKeys::new(limits.idempotency_keys)),
             pictures: Pictures::new(),
-            phase: watch::Sender::new(Phase::Serving),
+            phase,
             jobs: Arc::new(jobs),
             ids,
             compute,

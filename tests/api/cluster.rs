@@ -303,6 +303,38 @@ async fn nonsense_is_told_apart_and_done_again() {
     }
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn replicas_stay_while_their_service_is_away() {
+    let Some(broker) = Broker::start() else { return };
+    let data = tempfile::tempdir().unwrap();
+    let serve = || {
+        let (directory, cluster) = (data.path().to_owned(), broker.config(false));
+        Server::with(move |config| (config.data_dir, config.cluster) = (Some(directory), Some(cluster)))
+    };
+    let server = serve().await;
+    let scenes = [server.baked_room("?samples_per_element=8").await, server.baked_room("?samples_per_element=8").await];
+    let [kept, deleted] = scenes.each_ref().map(path_of);
+    let replica = Server::replica(broker.config(false)).await;
+    for path in [&kept, &deleted] {
+        wait_for(&replica, path, 200).await;
+    }
+    let light = raw(&server, &kept).await;
+    server.stop().await;
+    assert!(raw(&replica, &kept).await == light);
+
+    let server = serve().await;
+    wait_for(&server, &kept, 200).await;
+    assert_eq!(server.delete(&deleted).await.status, 204);
+    wait_for(&replica, &deleted, 404).await;
+    let repaint = json!({ "op": "material", "object": "cupboard", "albedo": [0.2, 0.6, 0.3] });
+    let scene = server.get(&kept).await.json(200);
+    server.end_of(&server.edit(&scene, &repaint).await).await;
+    let version = at_rest(&server, &kept).await;
+    let mut follower = replica.client.follow(scene["id"].as_str().unwrap());
+    patiently(follower.reach(version)).await.unwrap();
+    assert!(raw(&replica, &kept).await == raw(&server, &kept).await);
+}
+
 /// Waits until a path answers with this status.
 async fn wait_for(server: &Server, path: &str, status: u16) -> Answer {
     let begun = Instant::now();

@@ -1,7 +1,7 @@
 //! Versions of scenes, put where replicas find them: `scenes/ID.json` tells of the newest one by hashes of files, and a
 //! message tells that it is there. A replica that has missed messages has missed nothing.
 
-use std::collections::VecDeque;
+use std::collections::{HashSet, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -69,6 +69,13 @@ pub(super) struct SharedScene {
     pub(super) unknown: Option<String>,
 }
 
+impl SharedScene {
+    /// Its files that the next version has no use for.
+    fn into_files(self) -> Vec<String> {
+        [self.map, self.changed].into_iter().chain(self.unknown).collect()
+    }
+}
+
 /// Where what is told of a scene lies.
 pub(super) fn scene_path(id: &str) -> String {
     format!("{SCENES}/{id}.json")
@@ -81,17 +88,18 @@ struct Publisher {
     compute: Compute,
 }
 
-/// Puts all versions of all scenes from here on.
+/// Puts all versions of all scenes from when they are `restored` on.
 pub(crate) async fn publish(
     coordinator: Arc<Coordinator>,
     ids: Ids,
-    scenes: Arc<Scenes>,
-    store: Arc<dyn Store>,
+    (scenes, store): (Arc<Scenes>, Arc<dyn Store>),
     compute: Compute,
+    restored: impl Future<Output = ()>,
 ) {
     let service = Service { format: FORMAT, suffix: ids.suffix().to_owned(), first_event: ids.first_event };
     let publisher = Arc::new(Publisher { coordinator, store, compute });
-    while let Err(error) = publisher.begin(&service).await {
+    restored.await;
+    while let Err(error) = publisher.begin(&service, &scenes).await {
         tracing::warn!(%error, "nothing is told to replicas");
         tokio::time::sleep(RETRY).await;
     }
@@ -109,18 +117,34 @@ pub(crate) async fn publish(
 }
 
 impl Publisher {
-    /// What an earlier life has told is over.
-    async fn begin(&self, service: &Service) -> Result<(), ClusterError> {
+    /// Scenes that an earlier life has told of, and that are no more, are over.
+    async fn begin(&self, service: &Service, scenes: &Scenes) -> Result<(), ClusterError> {
         let objects = self.coordinator.objects();
-        objects.remove_all(SCENES).await?;
         let bytes = serde_json::to_vec(service).map_err(|error| ClusterError::odd("a service", error))?;
-        objects.put(SERVICE, bytes.into()).await
+        objects.put(SERVICE, bytes.into()).await?;
+        let there: HashSet<String> = scenes.all().iter().map(|scene| scene.id.clone()).collect();
+        for name in objects.names(SCENES).await? {
+            let Some(id) = name.strip_suffix(".json").filter(|id| !there.contains(*id)) else { continue };
+            let files = self.files_of(id).await;
+            objects.remove(&scene_path(id)).await?;
+            self.remove(files).await;
+            self.tell(id).await;
+        }
+        Ok(())
+    }
+
+    /// Files of the version of a scene that was told last.
+    async fn files_of(&self, id: &str) -> Vec<String> {
+        let told = self.coordinator.objects().get(&scene_path(id)).await.ok();
+        let shared = told.and_then(|bytes| serde_json::from_slice::<SharedScene>(&bytes).ok());
+        shared.map_or_else(Vec::new, SharedScene::into_files)
     }
 
     /// Puts the versions of a scene until it is deleted.
     async fn follow(self: Arc<Publisher>, scene: Arc<SceneEntry>) {
         let (mut published, mut deleted) = (scene.watch_published(), scene.watch_deleted());
-        let mut kept = VecDeque::new();
+        // Those of an earlier life.
+        let mut kept = VecDeque::from([self.files_of(&scene.id).await]);
         while !*deleted.borrow_and_update() {
             published.borrow_and_update();
             if scene.state() == SceneState::Ready
@@ -189,7 +213,7 @@ impl Publisher {
         };
         let bytes = serde_json::to_vec(&shared).map_err(|error| ClusterError::odd("a scene", error))?;
         objects.put(&scene_path(&scene.id), bytes.into()).await?;
-        kept.push_back([shared.map, shared.changed].into_iter().chain(shared.unknown).collect());
+        kept.push_back(shared.into_files());
         self.tell(&scene.id).await;
         if kept.len() > KEPT
             && let Some(old) = kept.pop_front()

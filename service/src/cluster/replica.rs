@@ -117,7 +117,7 @@ impl Replica {
         };
         loop {
             match service_of(&self.objects).await {
-                Ok(service) if service != self.service => {
+                Ok(service) if service.suffix != self.service.suffix => {
                     return ClusterError::Failed("the service that it follows is another one now".to_owned());
                 }
                 Ok(_) => self.look_at_all(&mut held).await,
