@@ -318,6 +318,9 @@ async fn replicas_stay_while_their_service_is_away() {
     for path in [&kept, &deleted] {
         wait_for(&replica, path, 200).await;
     }
+    let version = at_rest(&server, &kept).await;
+    let mut follower = replica.client.follow(scenes[0]["id"].as_str().unwrap());
+    patiently(follower.reach(version)).await.unwrap();
     let light = raw(&server, &kept).await;
     server.stop().await;
     assert!(raw(&replica, &kept).await == light);
@@ -330,7 +333,6 @@ async fn replicas_stay_while_their_service_is_away() {
     let scene = server.get(&kept).await.json(200);
     server.end_of(&server.edit(&scene, &repaint).await).await;
     let version = at_rest(&server, &kept).await;
-    let mut follower = replica.client.follow(scene["id"].as_str().unwrap());
     patiently(follower.reach(version)).await.unwrap();
     assert!(raw(&replica, &kept).await == raw(&server, &kept).await);
 }
