@@ -131,16 +131,18 @@ async fn parts(server: &Server, place: &str) -> u64 {
     text.lines().find_map(|line| line.strip_prefix(&name)).map_or(0, |count| count.parse().unwrap())
 }
 
+/// Workers that the service knows of.
+async fn worker_count(server: &Server) -> usize {
+    let metrics = server.get("/metrics").await;
+    let text = String::from_utf8(metrics.body).unwrap();
+    text.lines().find_map(|line| line.strip_prefix("rebake_workers ")).map_or(0, |count| count.parse().unwrap())
+}
+
 /// Waits until the service knows of so many workers.
 async fn know_workers(server: &Server, count: usize) {
     let begun = Instant::now();
-    loop {
-        let metrics = server.get("/metrics").await;
-        let text = String::from_utf8(metrics.body).unwrap();
-        if text.lines().any(|line| line == format!("rebake_workers {count}")) {
-            return;
-        }
-        assert!(begun.elapsed() < PATIENCE, "{text}");
+    while worker_count(server).await != count {
+        assert!(begun.elapsed() < PATIENCE, "no {count} workers");
         tokio::task::yield_now().await;
     }
 }
@@ -229,12 +231,6 @@ type Lie<'a> = dyn Fn(&Value) -> (Vec<u8>, String) + 'a;
 /// Takes parts as a worker would, and gives `nonsense` for each.
 async fn lie(broker: &Broker, nonsense: impl Fn(&Value) -> (Vec<u8>, String)) {
     let client = async_nats::connect(broker.url()).await.unwrap();
-    let liar = client.clone();
-    tokio::spawn(async move {
-        while liar.publish("rebake.workers", "liar".into()).await.is_ok() {
-            tokio::time::sleep(Duration::from_millis(100)).await;
-        }
-    });
     let context = jetstream::new(client.clone());
     let stream = loop {
         match context.get_stream("rebake-parts").await {
@@ -291,7 +287,11 @@ async fn nonsense_is_told_apart_and_done_again() {
     for nonsense in nonsense {
         let (server, scene) = (broker.serve(true).await, room());
         let lit = async {
-            know_workers(&server, 1).await;
+            let client = async_nats::connect(broker.url()).await.unwrap();
+            while worker_count(&server).await != 1 {
+                client.publish("rebake.workers", "liar".into()).await.unwrap();
+                client.flush().await.unwrap();
+            }
             light_of(&server, &scene).await
         };
         let light = tokio::select! {
@@ -375,6 +375,19 @@ async fn at_rest(server: &Server, path: &str) -> u64 {
     }
 }
 
+/// Waits until a replica tells of a scene what the service does.
+async fn told_alike(server: &Server, replica: &Server, path: &str) {
+    let begun = Instant::now();
+    loop {
+        let (ours, theirs) = (told(server, path).await, told(replica, path).await);
+        if ours == theirs {
+            return;
+        }
+        assert!(begun.elapsed() < PATIENCE, "{ours} {theirs}");
+        tokio::task::yield_now().await;
+    }
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_replica_serves_what_is_published_and_takes_no_changes() {
     let Some(broker) = Broker::start() else { return };
@@ -416,12 +429,24 @@ async fn a_replica_serves_what_is_published_and_takes_no_changes() {
     let light = replica.post_json(&format!("{path}/sample"), &point).await.json(200);
     assert_eq!(light, server.post_json(&format!("{path}/sample"), &point).await.json(200));
 
+    // One of the same light keeps its files where the other one's are removed.
+    let twin = path_of(&server.baked_room("?samples_per_element=8").await);
+    let other = path_of(&server.baked_room("?samples_per_element=8").await);
+    for path in [&twin, &other] {
+        told_alike(&server, &replica, path).await;
+    }
+    assert!(raw(&server, &twin).await == raw(&server, &other).await);
+    assert_eq!(server.delete(&other).await.status, 204);
+    wait_for(&replica, &other, 404).await;
+
     // One that comes later has it all, too, and what is deleted is gone.
     let late = Server::replica(broker.config(false)).await;
-    assert_eq!(told(&late, &path).await, told(&server, &path).await);
-    assert_eq!(server.delete(&path).await.status, 204);
-    for replica in [&replica, &late] {
-        wait_for(replica, &path, 404).await;
+    for path in [&path, &twin] {
+        told_alike(&server, &late, path).await;
+        assert_eq!(server.delete(path).await.status, 204);
+        for replica in [&replica, &late] {
+            wait_for(replica, path, 404).await;
+        }
     }
     assert_eq!(fs::read_dir(broker.objects().join("scenes")).map_or(0, Iterator::count), 0);
 }

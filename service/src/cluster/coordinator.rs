@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
-use async_nats::jetstream::{self, stream::Stream};
+use async_nats::jetstream;
 use async_nats::{Client, Message};
 use bytes::Bytes;
 use futures_util::StreamExt;
@@ -145,7 +145,7 @@ impl Coordinator {
             self.queue_part(offered, part).await?;
         }
         if !self.is_open(offered) {
-            self.unqueue_all(offered).await?;
+            self.unqueue_all(offered).await;
         }
         Ok(())
     }
@@ -223,6 +223,11 @@ impl Coordinator {
                 offered.lock().board.done(part, estimate);
                 self.metrics.part_done("elsewhere");
             }
+            // It may have been taken and removed already, where a worker tells twice; or the objects are away.
+            Err(ClusterError::Objects(error)) => {
+                tracing::warn!(worker, part, %error, "a result cannot be read");
+                offered.lock().board.failed(part, worker);
+            }
             Err(error) => {
                 tracing::warn!(worker, part, %error, "a worker gives nonsense: nothing is taken from it any more");
                 self.metrics.part_done("refused");
@@ -248,7 +253,7 @@ impl Coordinator {
         let closed = async {
             let id = offered.id.clone();
             self.client.publish(CLOSED_SUBJECT, id.into()).await.map_err(ClusterError::queue)?;
-            self.unqueue_all(&offered).await?;
+            self.unqueue_all(&offered).await;
             self.objects.remove_all(&results_folder(&offered.id)).await
         };
         if let Err(error) = closed.await {
@@ -257,27 +262,21 @@ impl Coordinator {
     }
 
     /// One by one: where a subject is purged, nats-server 2.9 has the consumer skip what is in the queue of others.
-    async fn unqueue_all(&self, offered: &Offered) -> Result<(), ClusterError> {
+    async fn unqueue_all(&self, offered: &Offered) {
         let places: Vec<u64> = offered.lock().queued.drain().map(|(_, place)| place).collect();
-        if places.is_empty() {
-            return Ok(());
-        }
-        let stream = stream(&self.jetstream).await?;
         for place in places {
-            if let Err(error) = stream.delete_message(place).await {
-                tracing::trace!(%error, place, "it was taken");
-            }
+            self.unqueue(place).await;
         }
-        Ok(())
     }
 
-    pub(super) async fn unqueue(self: Arc<Coordinator>, place: u64) {
+    /// Takes a task out of the queue, if no worker was sooner.
+    pub(super) async fn unqueue(&self, place: u64) {
         let deleted = async {
-            let stream: Stream = stream(&self.jetstream).await?;
+            let stream = stream(&self.jetstream).await?;
             stream.delete_message(place).await.map_err(ClusterError::queue)
         };
         if let Err(error) = deleted.await {
-            tracing::debug!(%error, "a part stays in the queue");
+            tracing::debug!(%error, place, "not taken out of the queue");
         }
     }
 

@@ -64,9 +64,16 @@ impl Objects {
         checked(self.get(&file_path(hash)).await?, hash)
     }
 
-    /// Removes a file by its hash.
-    pub(crate) async fn remove_file(&self, hash: &str) -> Result<(), ClusterError> {
-        self.remove(&file_path(hash)).await
+    /// Keeps a file in a folder under the hash of its bytes, and answers that.
+    pub(crate) async fn put_into(&self, folder: &str, bytes: Bytes) -> Result<String, ClusterError> {
+        let hash = blake3::hash(&bytes).to_hex().to_string();
+        self.put(&format!("{folder}/{hash}"), bytes).await?;
+        Ok(hash)
+    }
+
+    /// The file of a folder with a hash; an error where its bytes have another.
+    pub(crate) async fn file_of(&self, folder: &str, hash: &str) -> Result<Bytes, ClusterError> {
+        checked(self.get(&format!("{folder}/{hash}")).await?, hash)
     }
 
     /// What lies at a path, if anything does.

@@ -93,7 +93,8 @@ impl OpenOffer {
                 Next::Run(part) => {
                     state.begun = Some(Instant::now());
                     if let Some(place) = state.queued.remove(&part) {
-                        self.coordinator.runtime().spawn(self.coordinator.clone().unqueue(place));
+                        let coordinator = self.coordinator.clone();
+                        self.coordinator.runtime().spawn(async move { coordinator.unqueue(place).await });
                     }
                     return NextPart::Run(part);
                 }

@@ -1,7 +1,7 @@
 //! Versions of scenes, put where replicas find them: `scenes/ID.json` tells of the newest one by hashes of files, and a
 //! message tells that it is there. A replica that has missed messages has missed nothing.
 
-use std::collections::{HashSet, VecDeque};
+use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -26,9 +26,6 @@ use crate::store::scenes::Scenes;
 /// Between two versions of a scene that are put, and before what failed is tried again.
 const PACE: Duration = Duration::from_millis(50);
 const RETRY: Duration = Duration::from_secs(1);
-
-/// Files of so many versions are kept: a replica may be reading those of the last but one.
-const KEPT: usize = 2;
 
 /// The service that replicas follow.
 pub(super) const SERVICE: &str = "service.json";
@@ -70,7 +67,7 @@ pub(super) struct SharedScene {
 }
 
 impl SharedScene {
-    /// Its files that the next version has no use for.
+    /// Its files in [`light_folder`].
     fn into_files(self) -> Vec<String> {
         [self.map, self.changed].into_iter().chain(self.unknown).collect()
     }
@@ -79,6 +76,11 @@ impl SharedScene {
 /// Where what is told of a scene lies.
 pub(super) fn scene_path(id: &str) -> String {
     format!("{SCENES}/{id}.json")
+}
+
+/// Folder of the light of a scene: its own, since scenes of the same light would share files by their hashes.
+pub(super) fn light_folder(id: &str) -> String {
+    format!("light/{id}")
 }
 
 /// Puts versions of scenes.
@@ -125,30 +127,27 @@ impl Publisher {
         let there: HashSet<String> = scenes.all().iter().map(|scene| scene.id.clone()).collect();
         for name in objects.names(SCENES).await? {
             let Some(id) = name.strip_suffix(".json").filter(|id| !there.contains(*id)) else { continue };
-            let files = self.files_of(id).await;
-            objects.remove(&scene_path(id)).await?;
-            self.remove(files).await;
-            self.tell(id).await;
+            self.end(id).await?;
         }
         Ok(())
     }
 
-    /// Files of the version of a scene that was told last.
-    async fn files_of(&self, id: &str) -> Vec<String> {
-        let told = self.coordinator.objects().get(&scene_path(id)).await.ok();
-        let shared = told.and_then(|bytes| serde_json::from_slice::<SharedScene>(&bytes).ok());
-        shared.map_or_else(Vec::new, SharedScene::into_files)
+    /// A scene is no more.
+    async fn end(&self, id: &str) -> Result<(), ClusterError> {
+        let objects = self.coordinator.objects();
+        objects.remove(&scene_path(id)).await?;
+        self.tell(id).await;
+        objects.remove_all(&light_folder(id)).await
     }
 
     /// Puts the versions of a scene until it is deleted.
     async fn follow(self: Arc<Publisher>, scene: Arc<SceneEntry>) {
         let (mut published, mut deleted) = (scene.watch_published(), scene.watch_deleted());
-        // Those of an earlier life.
-        let mut kept = VecDeque::from([self.files_of(&scene.id).await]);
+        let mut last = Vec::new();
         while !*deleted.borrow_and_update() {
             published.borrow_and_update();
             if scene.state() == SceneState::Ready
-                && let Err(error) = self.put(&scene, &mut kept).await
+                && let Err(error) = self.put(&scene, &mut last).await
             {
                 tracing::warn!(scene = scene.id, %error, "a version is not told to replicas");
                 tokio::time::sleep(RETRY).await;
@@ -160,18 +159,14 @@ impl Publisher {
                 _ = deleted.changed() => {}
             }
         }
-        let objects = self.coordinator.objects();
-        if let Err(error) = objects.remove(&scene_path(&scene.id)).await {
+        if let Err(error) = self.end(&scene.id).await {
             tracing::warn!(scene = scene.id, %error, "a scene stays with replicas");
         }
-        for files in kept {
-            self.remove(files).await;
-        }
-        self.tell(&scene.id).await;
     }
 
-    async fn put(&self, scene: &Arc<SceneEntry>, kept: &mut VecDeque<Vec<String>>) -> Result<(), ClusterError> {
-        let objects = self.coordinator.objects();
+    /// Puts the present version. Files of the `last` one stay for replicas that are reading them; older ones go.
+    async fn put(&self, scene: &Arc<SceneEntry>, last: &mut Vec<String>) -> Result<(), ClusterError> {
+        let (objects, folder) = (self.coordinator.objects(), light_folder(&scene.id));
         let (its_scene, store, known) = (scene.clone(), self.store.clone(), self.coordinator.told_of(scene.number));
         let read = move || {
             let (light, published) = its_scene.shared_light();
@@ -204,32 +199,24 @@ impl Publisher {
             snapshot,
             accepted: scene.accepted().sequence,
             light: about,
-            map: objects.put_file(map.into()).await?,
-            changed: objects.put_file(changed.into()).await?,
+            map: objects.put_into(&folder, map.into()).await?,
+            changed: objects.put_into(&folder, changed.into()).await?,
             unknown: match unknown {
-                Some(unknown) => Some(objects.put_file(unknown.into()).await?),
+                Some(unknown) => Some(objects.put_into(&folder, unknown.into()).await?),
                 None => None,
             },
         };
         let bytes = serde_json::to_vec(&shared).map_err(|error| ClusterError::odd("a scene", error))?;
         objects.put(&scene_path(&scene.id), bytes.into()).await?;
-        kept.push_back(shared.into_files());
         self.tell(&scene.id).await;
-        if kept.len() > KEPT
-            && let Some(old) = kept.pop_front()
-        {
-            let used = |file: &String| kept.iter().flatten().any(|kept| kept == file);
-            self.remove(old.into_iter().filter(|file| !used(file)).collect()).await;
-        }
-        Ok(())
-    }
-
-    async fn remove(&self, files: Vec<String>) {
-        for file in files {
-            if let Err(error) = self.coordinator.objects().remove_file(&file).await {
-                tracing::debug!(%error, "a file of an old version stays");
+        let present = shared.into_files();
+        for file in objects.names(&folder).await? {
+            if !present.contains(&file) && !last.contains(&file) {
+                objects.remove(&format!("{folder}/{file}")).await?;
             }
         }
+        *last = present;
+        Ok(())
     }
 
     /// A replica that does not hear it looks by itself.

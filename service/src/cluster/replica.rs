@@ -12,7 +12,7 @@ use futures_util::StreamExt;
 use tokio::net::TcpListener;
 
 use super::objects::Objects;
-use super::publication::{SCENE_SUBJECT, SCENES, SERVICE, Service, SharedScene, scene_path};
+use super::publication::{SCENE_SUBJECT, SCENES, SERVICE, Service, SharedScene, light_folder, scene_path};
 use super::snapshot::Fetched;
 use super::{ClusterError, FORMAT, connect, snapshot};
 use crate::api::types::SceneChange;
@@ -184,11 +184,12 @@ impl Replica {
         if known.as_ref().is_some_and(|(_, version)| *version >= shared.light.version) {
             return Ok(());
         }
+        let folder = light_folder(id);
         let files = Files {
-            map: self.objects.file(&shared.map).await?,
-            changed: self.objects.file(&shared.changed).await?,
+            map: self.objects.file_of(&folder, &shared.map).await?,
+            changed: self.objects.file_of(&folder, &shared.changed).await?,
             unknown: match &shared.unknown {
-                Some(hash) => Some(self.objects.file(hash).await?),
+                Some(hash) => Some(self.objects.file_of(&folder, hash).await?),
                 None => None,
             },
         };
