@@ -4,6 +4,7 @@ mod bake;
 mod bench;
 mod compare;
 mod demo;
+mod door;
 mod exit;
 mod remote;
 mod render;

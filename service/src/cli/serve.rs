@@ -6,12 +6,12 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use anyhow::Context;
-use rebake::auth::Tokens;
 use rebake::cluster::ClusterConfig;
 use rebake::config::{IdleRefine, Limits};
 use tokio::net::TcpListener;
 use tracing_subscriber::EnvFilter;
 
+use super::door::DoorArgs;
 use super::{exit, ui};
 
 const AFTER_HELP: &str = "\
@@ -23,29 +23,11 @@ SIGTERM or Ctrl-C ends it: running jobs are canceled, answers under way are fini
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
 pub(super) struct ServeArgs {
-    /// Address and port; port 0 takes a free one
-    #[arg(long, value_name = "ADDRESS", env = "REBAKE_LISTEN", default_value = "127.0.0.1:7878")]
-    listen: SocketAddr,
+    #[command(flatten)]
+    door: DoorArgs,
     /// Where to keep scenes, edits and light maps across restarts [default: nowhere, they live in memory]
     #[arg(long, value_name = "DIR", env = "REBAKE_DATA_DIR")]
     data_dir: Option<PathBuf>,
-    /// Threads that compute [default: one per core]
-    #[arg(long, value_name = "N", env = "REBAKE_THREADS")]
-    threads: Option<NonZeroUsize>,
-    /// File of access tokens, one per line: the token and its scopes (read, edit, admin), separated by commas.
-    /// SIGHUP reads it again [default: whoever reaches the address may use it]
-    #[arg(long, value_name = "FILE", env = "REBAKE_TOKEN_FILE")]
-    token_file: Option<PathBuf>,
-    /// Listen beyond this machine without tokens
-    #[arg(long, env = "REBAKE_INSECURE")]
-    insecure: bool,
-    /// Let pages of this origin call the API from a browser; may be given several times; `*` for all [default: none]
-    #[arg(long, value_name = "ORIGIN", env = "REBAKE_CORS_ORIGIN", value_delimiter = ',')]
-    cors_origin: Vec<String>,
-    /// Host name that the service answers to without tokens, beside localhost and its address; may be given several
-    /// times; `*` for all
-    #[arg(long, value_name = "NAME", env = "REBAKE_HOST_NAME", value_delimiter = ',')]
-    host_name: Vec<String>,
     /// Memory that scenes, assets and uploads under way may take together, in GiB [default: three quarters of the
     /// machine's]
     #[arg(long, value_name = "GIB", env = "REBAKE_MEMORY", value_parser = super::values::positive)]
@@ -118,24 +100,18 @@ impl LimitArgs {
 
 /// Runs the service until it is told to stop.
 pub(super) async fn serve(args: ServeArgs) -> anyhow::Result<()> {
-    let tokens = args.token_file.as_deref().map(Tokens::read).transpose()?;
-    refuse_to_be_open(args.listen, tokens.is_some(), args.insecure)?;
-    start_log("info");
-    let listener = listen(args.listen).await?;
+    let (listener, config) = args.door.open().await?;
     let address = listener.local_addr().context("cannot tell the address")?;
     match &args.data_dir {
         Some(directory) => tracing::info!(directory = %directory.display(), "scenes are kept"),
         None => ui::note("no --data-dir: scenes live in memory and are gone when the service ends"),
     }
-    tokens.clone().into_iter().for_each(reload_at_hangup);
     ui::out(&format!("listening on http://{address}"))?;
     if rebake::viewer::is_embedded() {
         ui::note(&format!("open {} in a browser for the page", page(address)));
     }
-    let mut config =
-        rebake::Config { data_dir: args.data_dir, tokens, cors_origins: args.cors_origin, ..config(args.threads) };
+    let mut config = rebake::Config { data_dir: args.data_dir, ..config };
     config.idle_refine = args.idle_refine.map(|error_share| IdleRefine { error_share, ..IdleRefine::default() });
-    config.host_names = args.host_name;
     let delegates = args.delegate;
     config.cluster = args.cluster.map(|cluster| ClusterConfig { delegates, ..cluster.into() });
     args.limits.set(&mut config.limits);
@@ -146,17 +122,6 @@ pub(super) async fn serve(args: ServeArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Whoever reaches the address could change scenes: without tokens that has to be this machine alone.
-pub(super) fn refuse_to_be_open(address: SocketAddr, has_tokens: bool, is_insecure: bool) -> anyhow::Result<()> {
-    if address.ip().is_loopback() || has_tokens || is_insecure {
-        return Ok(());
-    }
-    anyhow::bail!(
-        "--listen {address} can be reached from other machines, and nobody would be asked for a token: \
-         give --token-file, or --insecure if that is what you want"
-    )
-}
-
 /// Where a browser on this machine finds the page: an address that stands for all of them is none to go to.
 fn page(address: SocketAddr) -> String {
     let port = address.port();
@@ -165,22 +130,6 @@ fn page(address: SocketAddr) -> String {
         IpAddr::V6(ip) if ip.is_unspecified() => format!("http://[::1]:{port}/"),
         _ => format!("http://{address}/"),
     }
-}
-
-/// Reads the token file again at SIGHUP.
-fn reload_at_hangup(tokens: Tokens) {
-    #[cfg(unix)]
-    tokio::spawn(async move {
-        let Ok(mut hangup) = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::hangup()) else { return };
-        while hangup.recv().await.is_some() {
-            match tokens.reload() {
-                Ok(count) => tracing::info!(count, "tokens read again"),
-                Err(error) => tracing::error!(%error, "the tokens stay as they were"),
-            }
-        }
-    });
-    #[cfg(not(unix))]
-    drop(tokens);
 }
 
 /// Opens the address.
@@ -241,19 +190,6 @@ mod tests {
             ("192.168.1.7:1", "http://192.168.1.7:1/"),
         ] {
             assert_eq!(page(listened.parse().unwrap()), opened);
-        }
-    }
-
-    #[test]
-    fn an_open_door_has_to_be_asked_for() {
-        let (here, everywhere) = (SocketAddr::from(([127, 0, 0, 1], 0)), SocketAddr::from(([0, 0, 0, 0], 0)));
-        for (address, has_tokens, is_insecure, allowed) in [
-            (here, false, false, true),
-            (everywhere, false, false, false),
-            (everywhere, true, false, true),
-            (everywhere, false, true, true),
-        ] {
-            assert_eq!(refuse_to_be_open(address, has_tokens, is_insecure).is_ok(), allowed);
         }
     }
 }
