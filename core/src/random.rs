@@ -72,7 +72,7 @@ impl R2 {
         R2 { shift: [rng.next_u32(), rng.next_u32()] }
     }
 
-    /// The same sequence from its point `index` on.
+    /// An R2 sequence of the same shift whose first point is point `index` of this one.
     #[inline]
     pub fn from_point(self, index: u32) -> R2 {
         let [x, y] = self.shift;
@@ -121,9 +121,9 @@ impl PartSeed {
 /// Random numbers of an element in a part of a round.
 #[derive(Clone, Debug)]
 pub(crate) struct Draws {
-    /// The same in all parts.
+    /// Random numbers that all parts of the round draw alike.
     pub of_round: Pcg32,
-    /// Others in every part.
+    /// Random numbers that this part draws alone.
     pub own: Pcg32,
     part: u32,
 }
