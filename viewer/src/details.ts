@@ -112,7 +112,8 @@ function ofObject(object: SceneObject, actions: Actions): HTMLElement[] {
   const stated = errors.map(([kind, error]) => `${error!.toPrecision(2)} of ${kind}`).join(', ');
   return [
     make('p', { class: 'quiet' }, about),
-    ...(stated ? [make('p', { class: 'quiet', title: 'Errors of its light: irradiance / π' }, `Stated error: ${stated}`)] : []),
+    // It stands there while nothing is known, too: a line that comes and goes would take what is typed below it along.
+    make('p', { class: 'quiet', title: 'Errors of its light: irradiance / π' }, `Stated error: ${stated || 'not known yet'}`),
     ...place(object, actions),
     color('Albedo', object.albedo, actions.paint),
   ];
