@@ -5,11 +5,11 @@ use rayon::prelude::*;
 
 use crate::lightmap::LightValues;
 use crate::scatter::{pooled_with_neighbours, scatter_of_neighbours};
-use crate::value::Value;
+use crate::value::{Scalars as _, Value};
 use crate::world::{Stated, World};
 
 /// The mean of rounds, per slot, and how they scatter about it.
-pub(crate) struct Accumulator<V> {
+pub(crate) struct Accumulator<V: Value> {
     /// By samples; empty before the first round.
     mean: LightValues<V>,
     /// What each layer weighs in the whole.
@@ -18,10 +18,10 @@ pub(crate) struct Accumulator<V> {
     stated: Stated,
     /// Σ n |light − mean|² of the whole, mean over RGB.
     squares: Vec<f32>,
-    /// Σ n |light − mean|² per layer, mean over RGB, layers of a slot side by side; empty for one layer.
-    layer_squares: Vec<f32>,
+    /// Σ n |light − mean|² per layer, mean over RGB.
+    layer_squares: Vec<V::Scalars>,
     /// Variance of the mean, of the whole and per layer, as neighbours tell it too.
-    told: Option<(Vec<f32>, Vec<f32>)>,
+    told: Option<(Vec<f32>, Vec<V::Scalars>)>,
     samples: u32,
     rounds: u32,
     /// Σ over slots of the variance of the mean, as the last round and the mean of those before it tell it.
@@ -57,26 +57,27 @@ impl<V: Value> Accumulator<V> {
 
     /// Adds a round of `samples` samples per element, and leaves its arrays to be written over.
     pub(crate) fn add(&mut self, samples: u32, light: &mut LightValues<V>) {
-        let (before, layers) = (self.samples, self.weights.len());
+        let before = self.samples;
         self.samples += samples;
         self.rounds += 1;
         self.told = None;
         if before == 0 {
             std::mem::swap(&mut self.mean, light);
             self.squares = vec![0.0; self.mean.direct.len()];
-            self.layer_squares = vec![0.0; if layers > 1 { self.squares.len() * layers } else { 0 }];
+            self.layer_squares = vec![V::Scalars::default(); self.squares.len()];
             return;
         }
         let part = samples as f32 / self.samples as f32;
         let round = Added { weights: &self.weights, stated: self.stated, part, factor: before as f32 * part };
-        let mut layer_squares = self.layer_squares.chunks_mut(CHUNK * layers);
         let means = self.mean.direct.chunks_mut(CHUNK).zip(self.mean.indirect.chunks_mut(CHUNK));
-        let sums = means.zip(self.squares.chunks_mut(CHUNK));
-        let with_layers = |((direct, indirect), squares)| {
-            let layer_squares = layer_squares.next().unwrap_or_default();
-            Sums { direct, indirect, squares, layer_squares }
-        };
-        let sums: Vec<Sums<V>> = sums.map(with_layers).collect();
+        let squares = self.squares.chunks_mut(CHUNK).zip(self.layer_squares.chunks_mut(CHUNK));
+        let sums = means.zip(squares).map(|((direct, indirect), (squares, layer_squares))| Sums {
+            direct,
+            indirect,
+            squares,
+            layer_squares,
+        });
+        let sums: Vec<Sums<V>> = sums.collect();
         let light = light.direct.par_chunks(CHUNK).zip(light.indirect.par_chunks(CHUNK));
         let add = |(mut sums, light): (Sums<V>, (&[V], &[V]))| sums.add(&round, light);
         let partials: Vec<(f64, f64)> = sums.into_par_iter().zip(light).map(add).collect();
@@ -87,25 +88,50 @@ impl<V: Value> Accumulator<V> {
     /// Has neighbours tell the variance, too: all of it of a first round, which has no other to scatter about, and more
     /// of it the fewer rounds there are.
     pub(crate) fn ask_neighbours(&mut self, world: &World) {
-        let layers = self.weights.len();
-        let light = |slot: usize| self.stated.of(self.mean.direct[slot], self.mean.indirect[slot]);
-        let scatter = self.scatter();
-        let freedom = self.rounds.saturating_sub(1) as f32;
-        let has_light = |slot: usize| light(slot) != V::default() || self.squares[slot] > 0.0;
-        let whole = match self.rounds {
-            0 => return,
-            1 => scatter_of_neighbours(world, |slot| light(slot).weighted(&self.weights)),
-            _ => pooled_with_neighbours(world, freedom, has_light, |slot| scatter.of_whole(slot)),
-        };
-        let mut of_layers = vec![0.0; if layers > 1 { layers * whole.len() } else { 0 }];
-        for layer in 0..layers.min(of_layers.len()) {
-            let variance = match self.rounds {
-                1 => scatter_of_neighbours(world, |slot| light(slot).layer(layer)),
-                _ => pooled_with_neighbours(world, freedom, has_light, |slot| scatter.of_layer(layer, slot)),
-            };
-            variance.into_iter().enumerate().for_each(|(slot, v)| of_layers[slot * layers + layer] = v);
+        if self.rounds == 0 {
+            return;
         }
+        let has_light = |slot: usize| self.squares[slot] > 0.0 || self.light(slot) != V::default();
+        let slots = (0..self.squares.len()).into_par_iter().with_min_len(CHUNK);
+        let has_light: Vec<bool> = slots.clone().map(has_light).collect();
+        let freedom = (self.rounds - 1) as f32;
+        let scatter = self.scatter();
+        let square = |light: Vec3, factor: f32| factor * light.length_squared() / 3.0;
+        let whole = match self.rounds {
+            1 => {
+                let light: Vec<Vec3> = slots.map(|slot| self.light(slot).weighted(&self.weights)).collect();
+                scatter_of_neighbours(world, |slot| light[slot], square)
+            }
+            _ => pooled_with_neighbours(world, freedom, &has_light, |slot| scatter.of_whole(slot)),
+        };
+        let of_layers = match (self.weights.len(), self.rounds) {
+            (0 | 1, _) => vec![V::Scalars::default(); whole.len()],
+            _ if V::IS_FEW => self.few_told(&whole),
+            (_, 1) => scatter_of_neighbours(world, |slot| self.light(slot), |light, factor| light.squares(factor)),
+            _ => pooled_with_neighbours(world, freedom, &has_light, |slot| scatter.of_layers(slot)),
+        };
         self.told = Some((whole, of_layers));
+    }
+
+    /// Light whose error is stated, of the mean of all rounds.
+    #[inline]
+    fn light(&self, slot: usize) -> V {
+        self.stated.of(self.mean.direct[slot], self.mean.indirect[slot])
+    }
+
+    /// Of many layers, of which neighbours have different ones: as its rounds tell it, and of a first round as much of that
+    /// of the whole as each has of the squared light.
+    fn few_told(&self, whole: &[f32]) -> Vec<V::Scalars> {
+        if self.rounds > 1 {
+            let factor = self.scatter().factor;
+            return self.layer_squares.par_iter().with_min_len(CHUNK).map(|squares| *squares * factor).collect();
+        }
+        let told = |(slot, variance): (usize, &f32)| {
+            let light = self.light(slot);
+            let square = light.weighted(&self.weights).length_squared() / 3.0;
+            if square > 0.0 { light.squares(variance / square) } else { V::Scalars::default() }
+        };
+        whole.par_iter().enumerate().with_min_len(CHUNK).map(told).collect()
     }
 
     /// Mean of all rounds.
@@ -127,14 +153,13 @@ impl<V: Value> Accumulator<V> {
     /// Σ n_r (x_r − x̄)² / (R − 1) estimates σ², and the mean has σ² / Σ n_r. Low-discrepancy samples do better than
     /// 1/n: the whole is scaled to what the last round and those before it, which weigh most, say. Of one round it is
     /// guessed, and of few rounds pooled, where [`Accumulator::ask_neighbours`] was asked; else zero while nothing is known.
-    pub(crate) fn scatter(&self) -> Scatter<'_> {
+    pub(crate) fn scatter(&self) -> Scatter<'_, V> {
+        let count = self.weights.len();
         if let Some((whole, layers)) = &self.told {
-            let layers = if self.weights.len() > 1 { layers } else { whole };
-            return Scatter { whole, layers, count: self.weights.len(), factor: 1.0 };
+            return Scatter { whole, layers, count, factor: 1.0 };
         }
         let factor = if self.knows_variance() { (self.per_square() * self.scale()) as f32 } else { 0.0 };
-        let layers = if self.weights.len() > 1 { &self.layer_squares } else { &self.squares };
-        Scatter { whole: &self.squares, layers, count: self.weights.len(), factor }
+        Scatter { whole: &self.squares, layers: &self.layer_squares, count, factor }
     }
 
     /// Variance of the mean of all layers together, mean over RGB, per slot.
@@ -154,26 +179,30 @@ impl<V: Value> Accumulator<V> {
 }
 
 /// Variance of a mean, as the scatter of its rounds tells it.
-#[derive(Clone, Copy)]
-pub(crate) struct Scatter<'a> {
+pub(crate) struct Scatter<'a, V: Value> {
     whole: &'a [f32],
-    /// Layers of a slot side by side.
-    layers: &'a [f32],
+    layers: &'a [V::Scalars],
     count: usize,
     factor: f32,
 }
 
-impl Scatter<'_> {
+impl<V: Value> Scatter<'_, V> {
     /// Of all layers together.
     #[inline]
     pub(crate) fn of_whole(&self, slot: usize) -> f32 {
         self.whole[slot] * self.factor
     }
 
-    /// Of one layer.
+    /// Of one layer; of the only one, that of the whole.
     #[inline]
     pub(crate) fn of_layer(&self, layer: usize, slot: usize) -> f32 {
-        self.layers[slot * self.count + layer] * self.factor
+        if self.count > 1 { self.layers[slot].of_layer(layer) * self.factor } else { self.of_whole(slot) }
+    }
+
+    /// Of each layer.
+    #[inline]
+    pub(crate) fn of_layers(&self, slot: usize) -> V::Scalars {
+        self.layers[slot] * self.factor
     }
 }
 
@@ -188,18 +217,17 @@ struct Added<'a> {
 }
 
 /// Means and squares of some slots.
-struct Sums<'a, V> {
+struct Sums<'a, V: Value> {
     direct: &'a mut [V],
     indirect: &'a mut [V],
     squares: &'a mut [f32],
-    layer_squares: &'a mut [f32],
+    layer_squares: &'a mut [V::Scalars],
 }
 
 impl<V: Value> Sums<'_, V> {
     /// Adds light of a round. Σ over the slots: what it adds to the squares, and the squares.
     fn add(&mut self, round: &Added, (direct, indirect): (&[V], &[V])) -> (f64, f64) {
         let square = |light: Vec3| round.factor * light.length_squared() / 3.0;
-        let layers = round.weights.len();
         let (mut added, mut all) = (0.0, 0.0);
         for (k, (direct, indirect)) in direct.iter().zip(indirect).enumerate() {
             let (mean_direct, mean_indirect) = (&mut self.direct[k], &mut self.indirect[k]);
@@ -211,8 +239,7 @@ impl<V: Value> Sums<'_, V> {
             self.squares[k] += whole;
             added += f64::from(whole);
             all += f64::from(self.squares[k]);
-            let squares = self.layer_squares.iter_mut().skip(k * layers).take(layers);
-            squares.enumerate().for_each(|(layer, sum)| *sum += square(light.layer(layer)));
+            self.layer_squares[k] += light.squares(round.factor);
         }
         (added, all)
     }

@@ -30,14 +30,13 @@ const CHUNK: usize = 4096;
 pub(crate) fn with_ambient<V: Value>(
     world: &World,
     direct: Vec<V>,
-    layers: usize,
     seed: u64,
     work: &Work,
 ) -> Result<Stack<V>, Canceled> {
     let ambient = ambient(world, &direct, seed, work)?;
     let areas = world.areas().par_iter().with_min_len(CHUNK);
     let indirect = areas.map(|area| if *area > 0.0 { ambient } else { V::default() }).collect();
-    Ok(Stack::without_error(direct, indirect, layers))
+    Ok(Stack::without_error(direct, indirect))
 }
 
 /// irradiance / π of all bounces of `direct`, were every element to see what elements see on average: light `u` sent

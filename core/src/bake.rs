@@ -13,11 +13,10 @@ use crate::layers::{Apart, Computed, groups_of, weights_of, weights_within};
 use crate::lightmap::{LayerHeader, LightMap, LightValues};
 use crate::random::subseed;
 use crate::rounds::{Estimator, Goal, Phase, Round};
-use crate::solve::{Exchange, Paths, Rows, Subset};
+use crate::solve::{Exchange, Paths, Rows, Solvable, Subset};
 use crate::transport::direct::direct_at;
 use crate::transport::{Effort, Field, Hint, Work, blacken, for_slots, gathered};
-use crate::value::Value;
-use crate::value::with_layers;
+use crate::value::{SIDE_BY_SIDE, with_layers};
 use crate::world::World;
 
 /// Samples per representative and round: at least, at most.
@@ -73,7 +72,7 @@ pub(crate) fn bake_layers(
     with_layers!(headers.len(), bake_headers(&lit, headers, &weights, finish, goal, work))
 }
 
-fn bake_headers<V: Value>(
+fn bake_headers<V: Solvable>(
     world: &World,
     headers: &[LayerHeader],
     weights: &[Vec3],
@@ -86,7 +85,7 @@ fn bake_headers<V: Value>(
 }
 
 /// Bakes some layers together; none where no round was run.
-fn bake_stack<V: Value>(
+fn bake_stack<V: Solvable>(
     world: &World,
     (layers, weights): (&[LayerHeader], &[Vec3]),
     finish: &dyn Fn(Apart) -> LightMap,
@@ -96,7 +95,7 @@ fn bake_stack<V: Value>(
     let baker = Baker::new(world, weights, goal.seed);
     let show = |direct: Vec<V>, round: &Round| baker.show_estimate(direct, round, finish, work);
     let shows = goal.estimates && work.observer().wants_estimates();
-    let layers = goal.offers.then_some(layers);
+    let layers = goal.offers.then_some(layers).filter(|layers| layers.len() <= SIDE_BY_SIDE);
     let all = BakeRounds { show: shows.then_some(&show), layers, ..baker.rounds(work) };
     let is_seen = goal.focus().map(|focus| focus.covers(world)).unwrap_or_default();
     let seen: Vec<u32> =
@@ -147,7 +146,7 @@ impl Prior {
 }
 
 /// Samples of the round after those in `sum`: they choose how many, never what is found, and the mean stays free of bias.
-pub(crate) fn effort_after<V: Value>(world: &World, sum: &Accumulator<V>) -> Effort {
+pub(crate) fn effort_after<V: Solvable>(world: &World, sum: &Accumulator<V>) -> Effort {
     if sum.knows_variance() { Effort::new(world, &sum.variance()) } else { Effort::default() }
 }
 
@@ -167,7 +166,7 @@ pub(crate) struct BakeRounds<'a, V> {
     layers: Option<&'a [LayerHeader]>,
 }
 
-impl<V: Value> Estimator<V> for BakeRounds<'_, V> {
+impl<V: Solvable> Estimator<V> for BakeRounds<'_, V> {
     type Prior = Prior;
 
     fn first_round(&self, known: Option<Prior>, round: &Round, out: &mut LightValues<V>) -> Result<Prior, Canceled> {
@@ -212,7 +211,7 @@ impl Baker {
     }
 
     /// What the first round goes by, and the direct light that it is made from, which no round uses.
-    pub(crate) fn first_prior<V: Value>(&self, work: &Work) -> Result<(Prior, Vec<V>), Canceled> {
+    pub(crate) fn first_prior<V: Solvable>(&self, work: &Work) -> Result<(Prior, Vec<V>), Canceled> {
         let seed = self.hint_seed();
         let direct: Vec<V> = Hint::direct(&self.world, &self.slots, seed, work)?;
         let hint = Arc::new(Hint::new(&self.world, &direct, &self.weights, seed, work));
@@ -229,14 +228,14 @@ impl Baker {
     }
 
     /// Shows direct light with an ambient term for the rest.
-    fn show_estimate<V: Value>(
+    fn show_estimate<V: Solvable>(
         &self,
         direct: Vec<V>,
         round: &Round,
         finish: &dyn Fn(Apart) -> LightMap,
         work: &Work,
     ) -> Result<(), Canceled> {
-        let stack = with_ambient(&self.world, direct, self.weights.len(), self.hint_seed(), work)?;
+        let stack = with_ambient(&self.world, direct, self.hint_seed(), work)?;
         let map = Arc::new(finish(Apart::of_stack(&stack, self.weights.len())));
         let (round_samples, rays) = (round.samples, work.rays());
         let progress = Progress { round_samples, rays, ..Progress::nothing(Pass::Direct) };
@@ -244,7 +243,7 @@ impl Baker {
         Ok(())
     }
 
-    fn round<V: Value>(
+    fn round<V: Solvable>(
         &self,
         Prior { hint, effort }: &Prior,
         round: &Round,
@@ -283,7 +282,7 @@ impl Baker {
     }
 
     /// All bounces of the direct light, on the subset and interpolated to all slots.
-    fn solve<V: Value>(
+    fn solve<V: Solvable>(
         &self,
         direct: &[V],
         hint: &Hint,
@@ -300,7 +299,7 @@ impl Baker {
         Ok((exchange, bounces))
     }
 
-    fn spread<V: Value>(&self, exchange: &Exchange<V>, values: &[V]) -> Vec<V> {
+    fn spread<V: Solvable>(&self, exchange: &Exchange<V>, values: &[V]) -> Vec<V> {
         let mut field = Vec::new();
         self.subset.interpolate(&exchange.to_representatives(&self.subset, values), &mut field);
         self.world.validity.fill(&mut field);

@@ -9,11 +9,12 @@ use crate::bake::{self, Baker};
 use crate::estimate::Estimate;
 use crate::job::{Canceled, Observer};
 use crate::layers::{weights_of, weights_within};
-use crate::lightmap::{LayerHeader, LightValues, MAX_LAYERS};
+use crate::lightmap::{LayerHeader, LightValues};
 use crate::random::subseed;
 use crate::rounds::{Estimator, Round};
+use crate::solve::Solvable;
 use crate::transport::{Effort, Work};
-use crate::value::{Value, with_layers};
+use crate::value::{SIDE_BY_SIDE, with_layers};
 use crate::world::World;
 
 /// What all rounds of a bake share: the same for the same world, layers and seed, wherever it is made.
@@ -36,8 +37,8 @@ pub enum PartError {
         /// Of the world.
         slots: usize,
     },
-    /// A map has no so many layers.
-    #[error("{0} layers are more than a light map has")]
+    /// No part carries so many layers.
+    #[error("{0} layers are more than parts of rounds carry")]
     Layers(usize),
 }
 
@@ -53,7 +54,7 @@ impl PartBaker {
         seed: u64,
         observer: &dyn Observer,
     ) -> Result<PartBaker, PartError> {
-        if layers.len() > MAX_LAYERS {
+        if layers.len() > SIDE_BY_SIDE {
             return Err(PartError::Layers(layers.len()));
         }
         let weights = if layers.is_empty() { vec![Vec3::ONE] } else { weights_of(layers, &world.scene) };
@@ -89,11 +90,11 @@ pub struct PartSpec {
     pub samples: u32,
 }
 
-fn first_prior<V: Value>(baker: &Baker, work: &Work) -> Result<bake::Prior, Canceled> {
+fn first_prior<V: Solvable>(baker: &Baker, work: &Work) -> Result<bake::Prior, Canceled> {
     Ok(baker.first_prior::<V>(work)?.0)
 }
 
-fn one_part<V: Value>(
+fn one_part<V: Solvable>(
     parts: &PartBaker,
     spec: PartSpec,
     prior: &bake::Prior,
@@ -247,9 +248,9 @@ mod tests {
     fn what_no_part_can_go_by_is_refused() {
         let world = room(&[]);
         let slots = world.slots();
-        let many = vec![LayerHeader::default(); MAX_LAYERS + 1];
+        let many = vec![LayerHeader::default(); SIDE_BY_SIDE + 1];
         let refused = PartBaker::new(&world, &many, 1, &Unobserved).err();
-        assert_eq!(refused, Some(PartError::Layers(MAX_LAYERS + 1)));
+        assert_eq!(refused, Some(PartError::Layers(SIDE_BY_SIDE + 1)));
         let baker = PartBaker::new(&world, &[], 1, &Unobserved).expect("nobody cancels");
         let spec = PartSpec { round: 0, part: 0, samples: 4 };
         for effort in [vec![1; slots - 1], vec![0; slots], vec![17; slots]] {

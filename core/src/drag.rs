@@ -47,7 +47,7 @@ impl DragBasis {
     pub fn new(world: &World, seed: u64, observer: &dyn Observer) -> Result<DragBasis, Canceled> {
         let subset = Subset::new(world);
         let rows = Arc::new(Rows::all(&subset));
-        let dark = |_: u32, _: &Surfel, _: bool, _: &mut crate::random::Pcg32, _: &mut u64| Vec3::ZERO;
+        let dark = |_: u32, _: &Surfel, _: bool, _: Vec3, _: &mut crate::random::Pcg32, _: &mut u64, _: &mut Vec3| {};
         let source = Source { radiance: dark, looked_up: &[], skies: &[], spots: None };
         let work = Work::new(observer);
         let exchange = Exchange::trace(
@@ -112,7 +112,7 @@ impl DragBasis {
         let mut indirect = Vec::new();
         self.subset.interpolate(&self.exchange.to_representatives(&self.subset, &bounces), &mut indirect);
         world.validity.fill(&mut indirect);
-        let light = LightValues { direct, indirect, variance: old.light.variance.clone() };
-        Ok(Layer { name: header.name.clone(), lights: header.lights.clone(), light })
+        let light = LightValues { direct, indirect, variance: old.light.variance().into_owned() };
+        Ok(Layer { name: header.name.clone(), lights: header.lights.clone(), light: light.into() })
     }
 }

@@ -6,7 +6,8 @@
 
 use glam::Vec3;
 
-use crate::lightmap::{LightValues, MAX_LAYERS};
+use crate::lightmap::LightValues;
+use crate::value::SIDE_BY_SIDE;
 use crate::value::Value;
 
 const MAGIC: &[u8; 8] = b"RBKEST02";
@@ -117,7 +118,7 @@ impl Estimate {
         let mut number = || numbers.next().ok_or(EstimateError::NotAnEstimate);
         let (round, part, samples, layers) = (number()?, number()?, number()?, number()?);
         let found = count.as_chunks::<8>().0.iter().map(|count| u64::from_le_bytes(*count)).sum();
-        if found != slots as u64 || !(1..=MAX_LAYERS as u32).contains(&layers) {
+        if found != slots as u64 || !(1..=SIDE_BY_SIDE as u32).contains(&layers) {
             let (expected, found) = ((slots as u64, u64::from(layers)), (found, u64::from(layers)));
             return Err(EstimateError::Shape { expected, found });
         }
@@ -151,7 +152,7 @@ mod tests {
     /// Any bits of numbers, such as negative zeros and what is no number.
     fn estimate() -> impl Strategy<Value = (Estimate, usize)> {
         let light = |len: usize| prop::collection::vec(any::<[u32; 6]>(), len);
-        (0_usize..40, 1..=MAX_LAYERS).prop_flat_map(move |(slots, layers)| {
+        (0_usize..40, 1..=SIDE_BY_SIDE).prop_flat_map(move |(slots, layers)| {
             (any::<[u32; 2]>(), 1..=u32::MAX, light(slots * layers)).prop_map(
                 move |([round, part], samples, values)| {
                     let light = |first: usize| {

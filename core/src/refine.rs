@@ -5,12 +5,13 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use crate::bake::bake_map;
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer};
 use crate::layers::headers_of_layers;
-use crate::lightmap::{LightMap, LightValues};
+use crate::lightmap::{BLOCK_SLOTS, Layer, LightBlock, LightMap, LightValues, SparseLight, blocks_of};
 use crate::random::subseed;
 use crate::rounds::Goal;
 use crate::transport::Work;
@@ -40,9 +41,15 @@ pub(crate) fn refine_with(
     work: &Work,
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
     let seed = subseed(seed, 0x4ef1);
+    // Lamps that are off take no part where layers are many.
+    let (map, dark) = map.at_strength_of(&world.scene).without_dark(&world.scene);
+    let map = &map;
     // The old map stays until the new one's variance is known.
     let improve = |new: LightMap| {
-        if new.light.variance.iter().any(|v| *v > 0.0) { blend(world, map, new) } else { map.clone() }
+        let is_known = new.light.variance.iter().any(|v| *v > 0.0);
+        let mut refined = if is_known { blend(world, map, new) } else { map.clone() };
+        dark.iter().for_each(|(place, layer)| refined.layers.insert(*place, layer.clone()));
+        refined
     };
     let importance = &Importance::default();
     let goal = Goal { budget, importance, seed, estimates: false, guesses: false, offers: true };
@@ -58,19 +65,44 @@ fn blend(world: &World, old: &LightMap, mut new: LightMap) -> LightMap {
         let weight = if a > 0.0 { (a / (a + b)) as f32 } else { 0.0 };
         weights[slot] = weight;
     }
-    let mix = |new: &mut [Vec3], old: &[Vec3]| {
-        new.iter_mut().zip(old).zip(&weights).for_each(|((n, o), w)| *n = o.lerp(*n, *w));
-    };
-    let mix_all = |new: &mut LightValues, old: &LightValues| {
-        mix(&mut new.direct, &old.direct);
-        mix(&mut new.indirect, &old.indirect);
-        let pairs = new.variance.iter_mut().zip(&old.variance).zip(&weights);
-        pairs.for_each(|((n, o), w)| *n = (1.0 - w) * (1.0 - w) * o + w * w * *n);
-    };
-    mix_all(&mut new.light, &old.light);
+    let LightValues { direct, indirect, variance } = &old.light;
+    mix(&mut new.light, &LightBlock { direct, indirect, variance }, &weights);
     let layers = new.layers.iter_mut().zip(&old.layers);
-    layers.for_each(|(new, old)| mix_all(&mut Arc::make_mut(new).light, &old.light));
+    for (new, old) in layers {
+        let light = mix_layers(&new.light, &old.light, &weights);
+        *new = Arc::new(Layer { name: new.name.clone(), lights: new.lights.clone(), light });
+    }
     new
+}
+
+/// Takes a part, per slot, of `new`, and the rest of `old`.
+fn mix(new: &mut LightValues, old: &LightBlock, weights: &[f32]) {
+    let light = |new: &mut [Vec3], old: &[Vec3]| {
+        new.iter_mut().zip(old).zip(weights).for_each(|((n, o), w)| *n = o.lerp(*n, *w));
+    };
+    light(&mut new.direct, old.direct);
+    light(&mut new.indirect, old.indirect);
+    let variances = new.variance.iter_mut().zip(old.variance).zip(weights);
+    variances.for_each(|((n, o), w)| *n = (1.0 - w) * (1.0 - w) * o + w * w * *n);
+}
+
+/// As [`mix`], in blocks that either has.
+fn mix_layers(new: &SparseLight, old: &SparseLight, weights: &[f32]) -> SparseLight {
+    let slots = new.len();
+    let black = LightValues::black(BLOCK_SLOTS);
+    let mixed = |index: usize| {
+        let own = index * BLOCK_SLOTS..slots.min((index + 1) * BLOCK_SLOTS);
+        let (a, b) = (new.block(index), old.block(index));
+        let is_there = a.is_some() || b.is_some();
+        is_there.then(|| {
+            let none = black.range(0, own.len());
+            let mut values = LightValues::of_block(&a.unwrap_or(none));
+            mix(&mut values, &b.unwrap_or(none), &weights[own]);
+            (index, values)
+        })
+    };
+    let blocks: Vec<(usize, LightValues)> = (0..blocks_of(slots)).into_par_iter().filter_map(mixed).collect();
+    SparseLight::of_blocks(slots, blocks.iter().map(|(index, values)| (*index, values.block(0))))
 }
 
 /// Area-weighted mean variance per object.

@@ -46,7 +46,7 @@ impl Round<'_> {
 }
 
 /// What is estimated in independent rounds. A round is a function of what it is told: it leaves nothing behind.
-pub(crate) trait Estimator<V> {
+pub(crate) trait Estimator<V: Value> {
     /// What rounds go by: it says where samples are of most use. What they find is right on average whatever it says.
     type Prior;
 
@@ -143,7 +143,7 @@ impl Goal<'_> {
 }
 
 /// What was computed first, because somebody looks at it.
-pub(crate) struct First<V> {
+pub(crate) struct First<V: Value> {
     pub stack: Stack<V>,
     /// Samples per slot.
     pub samples: Vec<u32>,
@@ -192,7 +192,7 @@ pub(crate) struct Rounds<'a> {
 const TILE_PARTS: u32 = 4;
 
 /// What has come of some rounds.
-struct Ran<V, P> {
+struct Ran<V: Value, P> {
     sum: Accumulator<V>,
     /// What the last went by; none where there was no round, and nothing known.
     prior: Option<P>,

@@ -4,7 +4,8 @@
 //! edges of shadows, noise is not; so a first map knows its error, too. Of few rounds: variances are alike along a
 //! surface, and each by itself has one degree of freedom less than there are rounds.
 
-use glam::Vec3;
+use std::ops::{Add, Div, Mul, Sub};
+
 use rayon::prelude::*;
 
 use crate::world::World;
@@ -12,11 +13,19 @@ use crate::world::World;
 /// Elements per task.
 const CHUNK: usize = 1024;
 
-/// Per slot: variance of some light, mean over RGB; zero where no element is computed. An element's distance from the
-/// mean of its k valid neighbours has (1 + 1/k) times the variance, whatever the gradient; the mean over itself and its
-/// neighbours is taken.
-pub(crate) fn scatter_of_neighbours(world: &World, light: impl Fn(usize) -> Vec3 + Sync) -> Vec<f32> {
-    let mut variance = vec![0.0; world.slots()];
+/// Per slot: variance of some light, as `square` makes it of `light × factor` (a square over three, say); zero where no
+/// element is computed. An element's distance from the mean of its k valid neighbours has (1 + 1/k) times the variance,
+/// whatever the gradient; the mean over itself and its neighbours is taken.
+pub(crate) fn scatter_of_neighbours<L, T>(
+    world: &World,
+    light: impl Fn(usize) -> L + Sync,
+    square: impl Fn(L, f32) -> T + Sync,
+) -> Vec<T>
+where
+    L: Copy + Default + Add<Output = L> + Sub<Output = L> + Div<f32, Output = L>,
+    T: Copy + Default + Send + Sync + Add<Output = T> + Div<f32, Output = T>,
+{
+    let mut variance = vec![T::default(); world.slots()];
     let is_valid = |slot: usize| world.is_valid(slot);
     for placed in &world.placed {
         for side in placed.sides() {
@@ -28,14 +37,14 @@ pub(crate) fn scatter_of_neighbours(world: &World, light: impl Fn(usize) -> Vec3
             };
             let square = |element: usize| {
                 let (sum, count) =
-                    neighbours(element).fold((Vec3::ZERO, 0.0), |(s, n), slot| (s + light(slot), n + 1.0));
+                    neighbours(element).fold((L::default(), 0.0), |(s, n), slot| (s + light(slot), n + 1.0));
                 if count == 0.0 || !is_valid(first + element) {
-                    return 0.0;
+                    return T::default();
                 }
-                (light(first + element) - sum / count).length_squared() / 3.0 * count / (count + 1.0)
+                square(light(first + element) - sum / count, count / (count + 1.0))
             };
-            let squares: Vec<f32> = (0..own.len()).into_par_iter().with_min_len(CHUNK).map(square).collect();
-            let pooled = |(element, variance): (usize, &mut f32)| {
+            let squares: Vec<T> = (0..own.len()).into_par_iter().with_min_len(CHUNK).map(square).collect();
+            let pooled = |(element, variance): (usize, &mut T)| {
                 let around = neighbours(element).map(|slot| squares[slot - first]);
                 let (sum, count) = around.fold((squares[element], 1.0), |(s, n), square| (s + square, n + 1.0));
                 *variance = sum / count;
@@ -49,31 +58,34 @@ pub(crate) fn scatter_of_neighbours(world: &World, light: impl Fn(usize) -> Vec3
 /// Degrees of freedom that neighbours count for, together.
 const NEIGHBOURS: f32 = 8.0;
 
-/// Per slot: `variances`, each of so many degrees of freedom, as the mean of itself and of what its neighbours have. An
+/// Per slot: variances (numbers, or one per layer), each of so many degrees of freedom, as the mean of itself and of what its neighbours have. An
 /// element whose few rounds came out alike by chance is not as good as known; one of which nothing is `estimated` takes
 /// part in nothing.
-pub(crate) fn pooled_with_neighbours(
+pub(crate) fn pooled_with_neighbours<T>(
     world: &World,
     freedom: f32,
-    estimated: impl Fn(usize) -> bool + Sync,
-    variance: impl Fn(usize) -> f32 + Sync,
-) -> Vec<f32> {
-    let mut pooled = vec![0.0; world.slots()];
+    estimated: &[bool],
+    variance: impl Fn(usize) -> T + Sync,
+) -> Vec<T>
+where
+    T: Copy + Default + Send + Sync + Add<Output = T> + Mul<f32, Output = T> + Div<f32, Output = T>,
+{
+    let mut pooled = vec![T::default(); world.slots()];
     for placed in &world.placed {
         for side in placed.sides() {
             let own = side.start as usize..side.end as usize;
             let first = own.start;
-            let pool = |(element, pooled): (usize, &mut f32)| {
-                if !estimated(first + element) {
+            let pool = |(element, pooled): (usize, &mut T)| {
+                if !estimated[first + element] {
                     return;
                 }
                 let slots = placed.layout.neighbours_of(element as u32).iter().map(|&e| first + e as usize);
                 let (sum, count) = slots
-                    .filter(|&slot| world.is_valid(slot) && estimated(slot))
-                    .fold((0.0, 0.0), |(sum, count), slot| (sum + variance(slot), count + 1.0));
+                    .filter(|&slot| world.is_valid(slot) && estimated[slot])
+                    .fold((T::default(), 0.0), |(sum, count), slot| (sum + variance(slot), count + 1.0));
                 let by_itself = variance(first + element);
                 *pooled = match count > 0.0 {
-                    true => (freedom * by_itself + NEIGHBOURS * sum / count) / (freedom + NEIGHBOURS),
+                    true => (by_itself * freedom + sum * (NEIGHBOURS / count)) / (freedom + NEIGHBOURS),
                     false => by_itself,
                 };
             };
@@ -85,6 +97,8 @@ pub(crate) fn pooled_with_neighbours(
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec3;
+
     use super::*;
     use crate::metrics::Family;
     use crate::random::Pcg32;
@@ -108,7 +122,8 @@ mod tests {
         let draws: Vec<(f32, f32)> =
             world.positions().iter().map(|_| (normal(), (normal().powi(2) + normal().powi(2)) / 2.0)).collect();
         let is_dark = |slot: usize| slot.is_multiple_of(97);
-        let pooled = pooled_with_neighbours(&world, 2.0, |slot| !is_dark(slot), |slot| draws[slot].1);
+        let is_lit: Vec<bool> = (0..draws.len()).map(|slot| !is_dark(slot)).collect();
+        let pooled = pooled_with_neighbours(&world, 2.0, &is_lit, |slot| draws[slot].1);
         let lit: Vec<usize> = (0..draws.len()).filter(|&slot| !is_dark(slot)).collect();
         let count = lit.len() as f64;
         let surprised = |variance: &dyn Fn(usize) -> f32| {
@@ -137,7 +152,8 @@ mod tests {
             .iter()
             .map(|p| Vec3::new(3.0 * p.x, p.z, 1.0) + Vec3::from([0, 1, 2].map(|_| 0.2 * (rng.next_f32() - 0.5))))
             .collect();
-        let found = scatter_of_neighbours(&world, |slot| light[slot]);
+        let square = |light: Vec3, factor: f32| factor * light.length_squared() / 3.0;
+        let found = scatter_of_neighbours(&world, |slot| light[slot], square);
         let mean = found.iter().map(|v| f64::from(*v)).sum::<f64>() / found.len() as f64;
         let truth = 0.2 * 0.2 / 12.0;
         // A uniform number's square has a relative deviation of √(4/5); three channels of so many elements, of which

@@ -13,7 +13,7 @@ pub(crate) use rebake_core::LAYOUT_VERSION;
 use rebake_core::allowed::check_spacing;
 pub(crate) use rebake_core::atlas::{Atlas, AtlasError, AtlasOptions};
 pub(crate) use rebake_core::export::{LightAbout, Originals};
-pub(crate) use rebake_core::layers::{Layer, LightValues, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER};
+pub(crate) use rebake_core::layers::{Layer, MAX_GROUPS, SHARED_LAYER, SIDE_BY_SIDE};
 pub(crate) use rebake_core::object_areas;
 pub(crate) use rebake_core::resolution::{MeanSquare, Meter, ResolutionError, noise_of_objects};
 pub(crate) use rebake_core::scene::Object;
@@ -329,16 +329,17 @@ pub(crate) fn with_layers_of(known: Arc<LightMap>, later: &LightMap, scene: &Sce
 fn adds_up(map: &LightMap, layers: &[Arc<Layer>], weights: &[Vec3]) -> bool {
     /// Relative to what is added: some dozen roundings of `f32`.
     const ROUNDING: f32 = 4e-6;
-    let fits = |slot: usize, whole: &[Vec3], part: fn(&LightValues) -> &[Vec3]| {
-        let (mut sum, mut size) = (Vec3::ZERO, whole[slot].abs());
-        for (layer, weight) in layers.iter().zip(weights) {
-            let value = part(&layer.light)[slot] * *weight;
+    let fits = |whole: Vec3, parts: &mut dyn Iterator<Item = Vec3>| {
+        let (mut sum, mut size) = (Vec3::ZERO, whole.abs());
+        for value in parts {
             sum += value;
             size += value.abs();
         }
-        (sum - whole[slot]).abs().cmple(size * ROUNDING).all()
+        (sum - whole).abs().cmple(size * ROUNDING).all()
     };
     (0..map.len()).all(|slot| {
-        fits(slot, &map.light.direct, |light| &light.direct) && fits(slot, &map.light.indirect, |light| &light.indirect)
+        let parts = || layers.iter().zip(weights).map(move |(layer, weight)| (layer.light.at(slot), *weight));
+        fits(map.light.direct[slot], &mut parts().map(|((direct, _), weight)| direct * weight))
+            && fits(map.light.indirect[slot], &mut parts().map(|((_, indirect), weight)| indirect * weight))
     })
 }

@@ -27,20 +27,20 @@ fn two_lamps_glb() -> Vec<u8> {
     glb::room().point_light("lamp-2", [1.0, 2.5, 3.0], 10.0).bytes()
 }
 
-fn relight(light: &str, intensity: f64) -> Value {
+pub(super) fn relight(light: &str, intensity: f64) -> Value {
     json!({ "op": "relight", "lights": [{ "light": light, "intensity": intensity }],
         "budget": { "samples_per_element": 4 } })
 }
 
 /// Posts an edit and waits for its light; answers the job and the scene.
-async fn edited(server: &Server, scene: &Value, edit: &Value) -> (Value, Value) {
+pub(super) async fn edited(server: &Server, scene: &Value, edit: &Value) -> (Value, Value) {
     let job = server.end_of(&server.edit(scene, edit).await).await;
     assert_eq!(job["state"], "succeeded", "{job}");
     (job, server.get(&path_of(scene)).await.json(200))
 }
 
 /// Values of the map, or of a layer.
-async fn values(server: &Server, scene: &Value, layer: &str) -> Vec<Vec3> {
+pub(super) async fn values(server: &Server, scene: &Value, layer: &str) -> Vec<Vec3> {
     let query = if layer.is_empty() { String::new() } else { format!("&layer={layer}") };
     let answer = server.get(&format!("{}/lightmap?format=raw{query}", path_of(scene))).await;
     assert_eq!(answer.status, 200, "{}", String::from_utf8_lossy(&answer.body));
@@ -48,11 +48,11 @@ async fn values(server: &Server, scene: &Value, layer: &str) -> Vec<Vec3> {
     Frame::decode(&answer.body).unwrap().0.values
 }
 
-fn bits(values: &[Vec3]) -> Vec<[u32; 3]> {
+pub(super) fn bits(values: &[Vec3]) -> Vec<[u32; 3]> {
     values.iter().map(|value| value.to_array().map(f32::to_bits)).collect()
 }
 
-fn layer_names(scene: &Value) -> Vec<&str> {
+pub(super) fn layer_names(scene: &Value) -> Vec<&str> {
     let mut names: Vec<&str> =
         scene["layers"].as_array().unwrap().iter().map(|layer| layer["name"].as_str().unwrap()).collect();
     names.sort_unstable();
@@ -64,7 +64,7 @@ fn layer_of<'a>(scene: &'a Value, light: &str) -> &'a Value {
 }
 
 /// The sum of weight × layer is the map, up to rounding.
-async fn assert_adds_up(server: &Server, scene: &Value) {
+pub(super) async fn assert_adds_up(server: &Server, scene: &Value) {
     let map = values(server, scene, "").await;
     let (mut sum, mut size) = (vec![Vec3::ZERO; map.len()], vec![Vec3::ZERO; map.len()]);
     for layer in scene["layers"].as_array().unwrap() {
@@ -94,7 +94,8 @@ async fn the_first_relight_splits_a_light_off_and_the_next_ones_need_no_ray() {
     let lamp = split["layers"].as_array().unwrap().iter().find(|layer| layer["name"] == "lamp").unwrap();
     assert_eq!(lamp["weight"], json!([40.0, 40.0, 40.0]));
     assert_eq!(lamp["lights"], json!([{ "name": "lamp", "reference": [1.0, 1.0, 1.0] }]));
-    assert_eq!(lamp["memory_bytes"], 36 * split["elements"].as_u64().unwrap());
+    let per_element = lamp["memory_bytes"].as_f64().unwrap() / split["elements"].as_f64().unwrap();
+    assert!((28.0..29.0).contains(&per_element), "{per_element}");
     assert!(split["memory_bytes"].as_u64() > scene["memory_bytes"].as_u64());
     assert_adds_up(&server, &split).await;
     for strength in [10.0, 0.0, 25.0] {
@@ -249,12 +250,12 @@ async fn a_layer_comes_in_every_format_and_all_of_them_in_one_picture() {
 async fn uploads_and_edits_that_ask_for_impossible_layers_are_refused() {
     let server = Server::start().await;
     let mut many = glb::room();
-    for i in 0..15 {
-        many.point_light(&format!("l{i}"), [1.0 + 0.1 * i as f32, 2.0, 2.0], 1.0);
+    for i in 0..1022 {
+        many.point_light(&format!("l{i}"), [1.0 + 0.001 * i as f32, 2.0, 2.0], 1.0);
     }
     let refused = server.post_glb("/v1/scenes?spacing=1&layers=each", many.bytes()).await;
     let detail = refused.problem(400, "invalid-query");
-    assert!(detail.starts_with("layers: ") && detail.contains("16 lights") && detail.contains("15"), "{detail}");
+    assert!(detail.starts_with("layers: ") && detail.contains("1023 lights") && detail.contains("1022"), "{detail}");
     let post =
         async |layers: &str| server.post_glb(&format!("/v1/scenes?spacing=1&layers={layers}"), two_lamps_glb()).await;
     assert!(post(r#"{"a":["sun"]}"#).await.problem(422, "unknown-light").starts_with("layers: "));

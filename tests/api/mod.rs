@@ -33,6 +33,7 @@ mod jobs;
 mod layers;
 mod lightmap;
 mod load;
+mod many_layers;
 mod moves;
 mod objects;
 mod occlusion;

@@ -18,6 +18,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use glam::{DMat4, DVec3, Vec3};
+use rebake_core::layers::{Layer, LightBlock, blocks_of};
 use rebake_core::scene::{LightKind, LoadLimits, Material, Mesh, Object, Scene, load};
 use rebake_core::{
     Budget, DragBasis, Edit, LightMap, Observer, Progress, Relight, Snapshot, Unobserved, World, WorldOptions, bake,
@@ -214,7 +215,7 @@ fn relights(layers: usize, world: &World) {
         reads.push(timed(|| black_box(sum_of(&map))).0);
     }
     let (relight, read) = (median(&mut seconds), median(&mut reads));
-    let bytes = map.layers.iter().map(|l| 28 * l.light.direct.len()).sum::<usize>();
+    let bytes = map.layers.iter().map(|l| l.light.memory_bytes()).sum::<usize>();
     println!(
         "{layers:2} layers: relight {:.1} ms, reading their {} MB {:.1} ms, {:.1} of it; {} bytes per element",
         1e3 * relight,
@@ -228,10 +229,14 @@ fn relights(layers: usize, world: &World) {
 /// Reads all layers once, on all threads.
 fn sum_of(map: &LightMap) -> f32 {
     use rayon::prelude::*;
-    let vectors =
-        |v: &Vec<Vec3>| v.par_chunks(4096).map(|c| c.iter().map(|v| v.x + v.y + v.z).sum::<f32>()).sum::<f32>();
-    let scalars = |v: &Vec<f32>| v.par_chunks(4096).map(|c| c.iter().sum::<f32>()).sum::<f32>();
-    map.layers.iter().map(|l| vectors(&l.light.direct) + vectors(&l.light.indirect) + scalars(&l.light.variance)).sum()
+    let vectors = |values: &[Vec3]| values.iter().map(|v| v.x + v.y + v.z).sum::<f32>();
+    let of_block =
+        |block: LightBlock| vectors(block.direct) + vectors(block.indirect) + block.variance.iter().sum::<f32>();
+    let of_layer = |layer: &Layer| -> f32 {
+        let blocks = (0..blocks_of(layer.light.len())).into_par_iter().with_min_len(64);
+        blocks.filter_map(|block| layer.light.block(block)).map(of_block).sum()
+    };
+    map.layers.iter().map(|layer| of_layer(layer)).sum()
 }
 
 fn timed<T>(f: impl FnOnce() -> T) -> (f64, T) {

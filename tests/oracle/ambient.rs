@@ -71,7 +71,7 @@ fn the_ambient_term_of_a_furnace_is_all_its_indirect_light() {
         let layer = |i: u64| {
             let layer = estimates[i as usize].layers.iter().find(|layer| layer.name == name).expect("a layer");
             assert!(layer.lights.iter().all(|light| light.reference == Vec3::ONE));
-            area_mean(&world, |_| true, |slot| layer.light.indirect[slot].as_dvec3())
+            area_mean(&world, |_| true, |slot| layer.light.at(slot).1.as_dvec3())
         };
         let truth = (albedo / (1.0 - albedo)).as_dvec3().element_sum() / 3.0 * part / area;
         assert_agrees(&format!("ambient term of the {name}"), replicate(8, layer), truth, 0.0);
@@ -116,18 +116,17 @@ fn the_ambient_term_is_nearer_to_the_light_than_none_and_not_in_the_map() {
             area_mean(&world, |_| true, |i| (found[i] - light[i]).as_dvec3().powf(2.0)).sqrt()
         };
         let nothing = vec![Vec3::ZERO; map.len()];
-        let parts = [(&estimate.light.indirect, &map.light.indirect)];
-        let parts = parts
-            .into_iter()
-            .chain(estimate.layers.iter().zip(&map.layers).map(|(a, b)| (&a.light.indirect, &b.light.indirect)));
-        for (found, light) in parts {
-            let (with, without) = (error(found, light), error(&nothing, light));
+        let layers = estimate.layers.iter().zip(&map.layers);
+        let layers = layers.map(|(a, b)| (a.light.to_dense().indirect, b.light.to_dense().indirect));
+        let whole = (estimate.light.indirect.clone(), map.light.indirect.clone());
+        for (found, light) in std::iter::once(whole).chain(layers) {
+            let (with, without) = (error(&found, &light), error(&nothing, &light));
             assert!(with < 0.5 * without, "off by {with}, by {without} without");
         }
         let weights = estimate.layer_weights(&world.scene);
         for slot in 0..if layered { map.len() } else { 0 } {
             let layers = estimate.layers.iter().zip(&weights);
-            let sum: Vec3 = layers.map(|(l, w)| (l.light.direct[slot] + l.light.indirect[slot]) * *w).sum();
+            let sum: Vec3 = layers.map(|(l, w)| (l.light.at(slot).0 + l.light.at(slot).1) * *w).sum();
             assert!(sum.abs_diff_eq(estimate.total(slot), 1e-5 * (1.0 + sum.max_element())), "slot {slot}");
         }
     }

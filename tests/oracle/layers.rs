@@ -8,18 +8,18 @@ use rebake_core::layers::Layer;
 use rebake_core::random::Pcg32;
 use rebake_core::scene::{Light, LightKind, Material, Mesh, Object, Scene};
 use rebake_core::{
-    Budget, DragBasis, Edit, LightMap, Observer, Progress, Relight, Snapshot, Unobserved, World, WorldOptions, bake,
-    update,
+    Budget, DragBasis, Edit, LightMap, LightPart, Observer, Progress, Relight, Snapshot, Unobserved, World,
+    WorldOptions, bake, update,
 };
 
 use super::scenes::{crate_at, room_objects, world};
 use super::statistics::{area_mean, assert_agrees, replicate};
 
-fn budget(samples: u32) -> Budget {
+pub(super) fn budget(samples: u32) -> Budget {
     Budget { samples_per_element: samples, target_rmse: None }
 }
 
-fn baked(world: &World, samples: u32, seed: u64) -> Arc<LightMap> {
+pub(super) fn baked(world: &World, samples: u32, seed: u64) -> Arc<LightMap> {
     bake(world, &budget(samples), seed, &Unobserved).expect("nobody cancels")
 }
 
@@ -50,8 +50,8 @@ fn each_alone(world: &World) -> World {
 
 /// Counts rays and snapshots.
 #[derive(Default)]
-struct Count {
-    rays: AtomicU64,
+pub(super) struct Count {
+    pub(super) rays: AtomicU64,
     snapshots: AtomicU64,
 }
 
@@ -76,27 +76,24 @@ fn alone(world: &World, layer: &Layer) -> World {
 fn check_layer(name: &str, world: &World, maps: &[Arc<LightMap>], layer: usize, bias: f64) {
     let alone = alone(world, &maps[0].layers[layer]);
     let fresh: Vec<Arc<LightMap>> = (0..4).map(|seed| baked(&alone, 128, 900 + seed)).collect();
-    type Pick = (&'static str, fn(&Layer) -> &Vec<Vec3>, fn(&LightMap) -> &Vec<Vec3>);
-    let parts: [Pick; 2] = [
-        ("direct", |l| &l.light.direct, |m| &m.light.direct),
-        ("indirect", |l| &l.light.indirect, |m| &m.light.indirect),
-    ];
-    for (part, of_layer, of_map) in parts {
-        let mean = |world: &World, values: &Vec<Vec3>| area_mean(world, |_| true, |i| values[i].as_dvec3());
-        let of_fresh = replicate(fresh.len() as u64, |i| mean(&alone, of_map(&fresh[i as usize])));
-        let truth = fresh.iter().map(|m| mean(&alone, of_map(m))).sum::<f64>() / fresh.len() as f64;
-        let estimate = replicate(maps.len() as u64, |i| mean(world, of_layer(&maps[i as usize].layers[layer])));
-        let name = format!("{name}, layer {}, {part}", maps[0].layers[layer].name);
+    for part in [LightPart::Direct, LightPart::Indirect] {
+        let mean = |world: &World, values: &[Vec3]| area_mean(world, |_| true, |i| values[i].as_dvec3());
+        let of_map = |map: &LightMap| mean(&alone, &map.light.part(part));
+        let of_fresh = replicate(fresh.len() as u64, |i| of_map(&fresh[i as usize]));
+        let truth = fresh.iter().map(|map| of_map(map)).sum::<f64>() / fresh.len() as f64;
+        let of_layer = |i: u64| mean(world, &maps[i as usize].layers[layer].light.part(part));
+        let estimate = replicate(maps.len() as u64, of_layer);
+        let name = format!("{name}, layer {}, {part:?}", maps[0].layers[layer].name);
         assert_agrees(&name, estimate, truth, bias * truth + 5.0 * of_fresh.error);
     }
 }
 
 /// The weighted sum of its layers is the map, up to rounding.
-fn check_sum(world: &World, map: &LightMap) {
+pub(super) fn check_sum(world: &World, map: &LightMap) {
     let weights = map.layer_weights(&world.scene);
     for slot in 0..map.len() {
         let sum: Vec3 =
-            map.layers.iter().zip(&weights).map(|(l, w)| (l.light.direct[slot] + l.light.indirect[slot]) * *w).sum();
+            map.layers.iter().zip(&weights).map(|(l, w)| (l.light.at(slot).0 + l.light.at(slot).1) * *w).sum();
         let off = (sum - map.total(slot)).abs().max_element();
         assert!(off <= 1e-5 * (1.0 + sum.abs().max_element()), "slot {slot}: {sum} {}", map.total(slot));
     }
@@ -293,14 +290,14 @@ fn a_dragged_light_has_frames_near_the_exact_update() {
     assert!(others(&frame).iter().zip(others(&map)).all(|(a, b)| Arc::ptr_eq(a, &b)));
     // A bulb's direct light is exact; the rest leaves out a little light in corners, and what is finer than its subset.
     let exact = baked(&alone(&transition.after, &frame.layers[red]), 256, 4);
-    let mean = |values: &Vec<Vec3>| area_mean(&transition.after, |_| true, |i| values[i].as_dvec3());
-    let (frame, old) = (&frame.layers[red], &map.layers[red]);
-    assert!((mean(&frame.light.direct) / mean(&exact.light.direct) - 1.0).abs() < 1e-4);
-    let ratio = mean(&frame.light.indirect) / mean(&exact.light.indirect);
-    let error = |values: &Vec<Vec3>| {
+    let mean = |values: &[Vec3]| area_mean(&transition.after, |_| true, |i| values[i].as_dvec3());
+    let [frame, old] = [&frame, &*map].map(|map| map.layers[red].light.to_dense());
+    assert!((mean(&frame.direct) / mean(&exact.light.direct) - 1.0).abs() < 1e-4);
+    let ratio = mean(&frame.indirect) / mean(&exact.light.indirect);
+    let error = |values: &[Vec3]| {
         area_mean(&transition.after, |_| true, |i| (values[i] - exact.light.indirect[i]).as_dvec3().powf(2.0)).sqrt()
     };
-    let (off, without) = (error(&frame.light.indirect), error(&old.light.indirect));
+    let (off, without) = (error(&frame.indirect), error(&old.indirect));
     assert!((0.93..1.03).contains(&ratio), "indirect light of the frame is {ratio:.4} of a bake's");
     assert!(off < 0.3 * without, "off by {off}, by {without} without the frame");
     // Other edits have no frames.
@@ -378,6 +375,7 @@ fn a_single_layer_is_brought_up_to_date_alike_at_any_strength() {
         update(&hidden, &map, &budget(8), None, 3, &Unobserved).expect("nobody cancels")
     };
     let (dim, bright) = (at(1e-3), at(1e3));
-    assert_eq!(dim.layers[0].light.direct, bright.layers[0].light.direct);
-    assert_eq!(dim.layers[0].light.indirect, bright.layers[0].light.indirect);
+    for part in [LightPart::Direct, LightPart::Indirect] {
+        assert_eq!(dim.layers[0].light.part(part), bright.layers[0].light.part(part));
+    }
 }

@@ -223,11 +223,6 @@ fn maps_with_layers_go_tile_by_tile_too() {
         p.distance(PLACE) > 1.0
     });
     // Layers are summed anew where they changed; the same layers make the same sum.
-    let layers_differ = |i: usize| {
-        last.layers
-            .iter()
-            .zip(&carried.layers)
-            .any(|(a, b)| a.light.direct[i] != b.light.direct[i] || a.light.indirect[i] != b.light.indirect[i])
-    };
+    let layers_differ = |i: usize| last.layers.iter().zip(&carried.layers).any(|(a, b)| a.light.at(i) != b.light.at(i));
     assert_eq!(far.filter(|&i| layers_differ(i)).count(), 0);
 }

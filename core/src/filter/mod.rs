@@ -27,7 +27,7 @@ pub const BYTES_PER_SLOT: usize = 512;
 const CHUNK: usize = 4096;
 
 /// A light map whose noise is averaged away where it may be: direct and indirect light, and those of every layer, with the
-/// same weights, so that parts and layers add up as they did. The mean of all light by area stays as it is, and light that
+/// same weights, so that parts and layers add up as they did; of many layers, the rest alone takes the change. The mean of all light by area stays as it is, and light that
 /// is nowhere negative stays so. The variance is the expected squared error of what is returned: that of the means,
 /// and, for what averages blur, the square of what averaging once more would change. Elements of which `is_known` says no,
 /// and those without variance, keep what they have.
@@ -58,7 +58,7 @@ pub fn filter(
         let (direct, indirect) = (average(&light.direct), average(&light.indirect));
         let stated = |slot: usize| world.stated().of(direct[slot], indirect[slot]);
         let mut variance = weights.squared_errors(stated, &light.variance);
-        world.validity.fill_scalars(&mut variance, 1);
+        world.validity.fill(&mut variance);
         LightValues { direct, indirect, variance }
     };
     let layer = |layer: &Arc<Layer>| {
@@ -66,8 +66,26 @@ pub fn filter(
             return Err(Canceled);
         }
         let (name, lights) = (layer.name.clone(), layer.lights.clone());
-        Ok(Arc::new(Layer { name, lights, light: filtered(&layer.light) }))
+        Ok(Arc::new(Layer { name, lights, light: filtered(&layer.light.to_dense()).into() }))
     };
-    let layers = map.layers.iter().map(layer).collect::<Result<_, _>>()?;
-    Ok(LightMap { light: filtered(&map.light), layers })
+    let light = filtered(&map.light);
+    let layers = match map.rest() {
+        Some(rest) => with_rest_of(map, rest, &light),
+        None => map.layers.iter().map(layer).collect::<Result<_, _>>()?,
+    };
+    Ok(LightMap { light, layers })
+}
+
+/// Many layers stay as they are, each where it matters; what filtering changes is in the rest.
+fn with_rest_of(map: &LightMap, rest: &Layer, filtered: &LightValues) -> Vec<Arc<Layer>> {
+    let mut light = rest.light.to_dense();
+    let change = |rest: &mut [Vec3], old: &[Vec3], new: &[Vec3]| {
+        let pairs = rest.par_iter_mut().zip(old.par_iter().zip(new)).with_min_len(CHUNK);
+        pairs.for_each(|(rest, (old, new))| *rest += *new - *old);
+    };
+    change(&mut light.direct, &map.light.direct, &filtered.direct);
+    change(&mut light.indirect, &map.light.indirect, &filtered.indirect);
+    let mut layers = map.layers.clone();
+    layers[0] = Arc::new(Layer { name: rest.name.clone(), lights: Vec::new(), light: light.into() });
+    layers
 }

@@ -135,7 +135,7 @@ fn parts_and_layers_add_up_and_threads_do_not_matter() {
         let variance = vec![NOISE * NOISE; direct.len()];
         let (direct, indirect) = (direct.to_vec(), indirect.to_vec());
         let light = LightValues { direct, indirect, variance };
-        Arc::new(Layer { name: name.to_owned(), lights: Vec::new(), light })
+        Arc::new(Layer { name: name.to_owned(), lights: Vec::new(), light: light.into() })
     };
     let none = vec![Vec3::ZERO; direct.len()];
     let layers = vec![layer("a", &direct, &none), layer("b", &none, &indirect)];
@@ -144,7 +144,8 @@ fn parts_and_layers_add_up_and_threads_do_not_matter() {
     let whole = filtered(&world, &map);
     let alone = filtered(&world, &map_of(&noisy));
     for slot in 0..world.slots() {
-        let sum: Vec3 = whole.layers.iter().map(|layer| layer.light.direct[slot] + layer.light.indirect[slot]).sum();
+        let light = whole.layers.iter().map(|layer| layer.light.at(slot));
+        let sum: Vec3 = light.map(|(direct, indirect)| direct + indirect).sum();
         assert!((sum - whole.total(slot)).abs().max_element() < 1e-5);
         assert!((alone.total(slot) - whole.total(slot)).abs().max_element() < 1e-5);
     }

@@ -1,34 +1,40 @@
 //! Layers each by itself, as they are kept and published.
 
-use std::ops::AddAssign;
+use std::borrow::Cow;
+use std::ops::{AddAssign, Range};
 use std::sync::Arc;
 
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Layer, LayerHeader, Stack, whole, whole_with};
+use super::{LEAST, Layer, LayerHeader, Stack, whole, whole_with};
 use crate::accumulate::Accumulator;
-use crate::lightmap::{LightMap, LightValues};
-use crate::value::Value;
+use crate::lightmap::{AnyLight, BLOCK_SLOTS, LightBlock, LightMap, LightValues, SparseLight, blocks_of};
+use crate::transport::black;
+use crate::value::{Scalars, Value};
 use crate::world::{Transition, Validity};
 
-/// Slots per task: all layers of theirs fit in the cache.
-const CHUNK: usize = 256;
+/// Slots per task, some blocks: all layers of theirs fit in the cache.
+const CHUNK: usize = 4 * BLOCK_SLOTS;
 
 /// Light that is there before an edit, layer by layer.
 pub(crate) struct Old<'a> {
     /// In the slots of the world before it.
-    parts: Vec<&'a LightValues>,
+    parts: Vec<AnyLight<'a>>,
     /// Of the weighted sum of all.
-    variance: &'a [f32],
+    variance: Cow<'a, [f32]>,
     /// Per slot of the world after it: whether its old value stays.
     keeps: Vec<bool>,
 }
 
 impl<'a> Old<'a> {
     /// Layers whose weighted sum has `variance`; for a single one its own is taken.
-    pub(crate) fn new(parts: Vec<&'a LightValues>, variance: &'a [f32], transition: &Transition) -> Old<'a> {
-        let variance = if let [part] = *parts { &part.variance } else { variance };
+    pub(crate) fn new(parts: Vec<AnyLight<'a>>, variance: &'a [f32], transition: &Transition) -> Old<'a> {
+        let variance = match *parts {
+            [AnyLight::Dense(light)] => Cow::Borrowed(&*light.variance),
+            [AnyLight::Sparse(light)] => light.variance(),
+            _ => Cow::Borrowed(variance),
+        };
         Old { parts, variance, keeps: kept(transition) }
     }
 
@@ -40,44 +46,67 @@ impl<'a> Old<'a> {
 
     /// Direct and indirect light, side by side, in the slots of the world before the edit.
     pub(crate) fn total<V: Value>(&self) -> Vec<V> {
-        let slots = self.parts.first().map_or(0, |part| part.len());
-        let total = |slot| self.side_by_side(|part| part.direct[slot] + part.indirect[slot]);
-        (0..slots).into_par_iter().with_min_len(CHUNK).map(total).collect()
+        let slots = self.parts.first().map_or(0, AnyLight::len);
+        let mut total: Vec<V> = black(slots);
+        self.for_blocks(&mut total, |out, block, k| {
+            let light = out.iter_mut().zip(block.direct).zip(block.indirect);
+            light.for_each(|((out, direct), indirect)| out.add_to_layer(k, *direct + *indirect));
+        });
+        total
     }
 
     /// Direct light, indirect light and variances of every layer, side by side per slot, in the slots of the world
     /// after it: zero where no value stays.
     pub(crate) fn stack<V: Value>(&self) -> Stack<V> {
         let slots = || self.keeps.par_iter().enumerate().with_min_len(CHUNK);
-        let light = |of: fn(&LightValues) -> &[Vec3]| -> Vec<V> {
-            let value = |slot: usize| self.side_by_side(|part| of(part)[slot]);
-            slots().map(|(slot, keeps)| if *keeps { value(slot) } else { V::default() }).collect()
+        let light = |of: for<'b> fn(&LightBlock<'b>) -> &'b [Vec3]| -> Vec<V> {
+            let mut light: Vec<V> = black(self.parts.first().map_or(0, AnyLight::len));
+            self.for_blocks(&mut light, |out, block, k| {
+                out.iter_mut().zip(of(block)).for_each(|(out, value)| out.add_to_layer(k, *value));
+            });
+            slots().map(|(slot, keeps)| if *keeps { light[slot] } else { V::default() }).collect()
         };
-        let layers = if self.parts.len() > 1 { &*self.parts } else { &[] };
+        let mut layer_variance = vec![V::Scalars::default(); self.parts.first().map_or(0, AnyLight::len)];
+        self.for_blocks(&mut layer_variance, |out, block, k| {
+            out.iter_mut().zip(block.variance).for_each(|(out, value)| out.add_to_layer(k as usize, *value));
+        });
+        let of_layers = |(slot, keeps): (usize, &bool)| if *keeps { layer_variance[slot] } else { Default::default() };
         Stack {
             light: LightValues {
-                direct: light(|part| &part.direct),
-                indirect: light(|part| &part.indirect),
+                direct: light(|block| block.direct),
+                indirect: light(|block| block.indirect),
                 variance: slots().map(|(slot, keeps)| if *keeps { self.variance[slot] } else { 0.0 }).collect(),
             },
-            layer_variance: (self.keeps.iter().enumerate())
-                .flat_map(|(slot, keeps)| layers.iter().map(move |l| if *keeps { l.variance[slot] } else { 0.0 }))
-                .collect(),
+            layer_variance: slots().map(of_layers).collect(),
         }
     }
 
-    #[inline]
-    fn side_by_side<V: Value>(&self, of: impl Fn(&LightValues) -> Vec3) -> V {
-        let mut value = V::default();
-        self.parts.iter().zip(0..).for_each(|(part, k)| value.add_to_layer(k, of(part)));
-        value
+    /// Calls `f` with the values of every block, the light of a layer in it, and which layer that is.
+    fn for_blocks<T: Send>(&self, values: &mut [T], f: impl Fn(&mut [T], &LightBlock, u32) + Sync) {
+        values.par_chunks_mut(BLOCK_SLOTS).enumerate().for_each(|(index, values)| {
+            for (part, k) in self.parts.iter().zip(0..) {
+                part.block(index).iter().for_each(|block| f(values, block, k));
+            }
+        });
     }
 
-    /// Adds what stays of some values to those of the slots from `first` on.
+    /// Adds what stays of a layer's values to those of the slots from `first` on, where a block begins.
     #[inline]
-    fn add<T: AddAssign + Copy>(&self, values: &[T], first: usize, to: &mut [T]) {
-        let slots = to.iter_mut().zip(&self.keeps[first..]).zip(first..);
-        slots.filter(|((_, keeps), _)| **keeps).for_each(|((to, _), slot)| *to += values[slot]);
+    fn add<T: AddAssign + Copy>(
+        &self,
+        layer: usize,
+        of: for<'b> fn(&LightBlock<'b>) -> &'b [T],
+        first: usize,
+        to: &mut [T],
+    ) {
+        for (start, to) in (first..).step_by(BLOCK_SLOTS).zip(to.chunks_mut(BLOCK_SLOTS)) {
+            let in_parts = start < self.parts[layer].len();
+            let Some(block) = in_parts.then(|| self.parts[layer].block(start / BLOCK_SLOTS)).flatten() else {
+                continue;
+            };
+            let slots = to.iter_mut().zip(of(&block)).zip(&self.keeps[start..]);
+            slots.filter(|(_, keeps)| **keeps).for_each(|((to, value), _)| *to += *value);
+        }
     }
 }
 
@@ -91,31 +120,46 @@ fn kept(transition: &Transition) -> Vec<bool> {
 
 /// Layers that were computed along the same rays.
 pub(crate) struct Apart {
-    layers: Vec<LightValues>,
+    layers: Values,
     /// Variance of their weighted sum. None for a single one, which is computed at its own scale.
     variance: Option<Vec<f32>>,
+}
+
+/// Values of layers, each by itself.
+#[derive(Debug, PartialEq)]
+enum Values {
+    /// In all slots.
+    Dense(Vec<LightValues>),
+    /// Where they matter.
+    Sparse(Vec<SparseLight>),
 }
 
 impl Apart {
     /// The mean of all rounds, with its variance, added to old light, which is independent of it. Invalid elements take
     /// their neighbours' values.
     pub(crate) fn of_mean<V: Value>(sum: &Accumulator<V>, old: Option<&Old>, validity: &Validity) -> Apart {
+        if V::IS_FEW {
+            return Apart::of_stack(&Stack::of_mean(sum, old.map(Old::stack).as_ref(), validity), sum.layers());
+        }
         let (mean, scatter) = (sum.mean(), sum.scatter());
         let (layers, slots) = (sum.layers(), mean.len());
-        let light = |values: &[V], of: fn(&LightValues) -> &[Vec3]| {
+        let light = |values: &[V], of: for<'b> fn(&LightBlock<'b>) -> &'b [Vec3]| {
             apart(layers, slots, |k, first, out: &mut [Vec3]| {
                 out.iter_mut().zip(&values[first..]).for_each(|(out, value)| *out = value.layer(k));
-                old.iter().for_each(|old| old.add(of(old.parts[k]), first, out));
+                old.iter().for_each(|old| old.add(k, of, first, out));
             })
         };
-        let (direct, indirect) = (light(&mean.direct, |p| &p.direct), light(&mean.indirect, |p| &p.indirect));
+        let (direct, indirect) = (light(&mean.direct, |b| b.direct), light(&mean.indirect, |b| b.indirect));
         let variance = apart(layers, slots, |k, first, out: &mut [f32]| {
             out.iter_mut().zip(first..).for_each(|(out, slot)| *out = scatter.of_layer(k, slot));
-            old.iter().for_each(|old| old.add(&old.parts[k].variance, first, out));
+            old.iter().for_each(|old| old.add(k, |block| block.variance, first, out));
         });
         let whole = apart(usize::from(layers > 1), slots, |_, first, out: &mut [f32]| {
             out.iter_mut().zip(first..).for_each(|(out, slot)| *out = scatter.of_whole(slot));
-            old.iter().for_each(|old| old.add(old.variance, first, out));
+            old.iter().for_each(|old| {
+                let slots = out.iter_mut().zip(first..).filter(|(_, slot)| old.keeps[*slot]);
+                slots.for_each(|(out, slot)| *out += old.variance[slot]);
+            });
         });
         let mut apart = Apart::new(direct, indirect, variance, whole);
         apart.fill(validity);
@@ -125,6 +169,10 @@ impl Apart {
     /// What lies side by side, of so many layers.
     pub(crate) fn of_stack<V: Value>(stack: &Stack<V>, layers: usize) -> Apart {
         let slots = stack.light.len();
+        if V::IS_FEW {
+            let layers = Values::Sparse(where_they_matter(stack, layers));
+            return Apart { layers, variance: Some(stack.light.variance.clone()) };
+        }
         let light = |values: &[V]| {
             apart(layers, slots, |k, first, out: &mut [Vec3]| {
                 out.iter_mut().zip(&values[first..]).for_each(|(out, value)| *out = value.layer(k));
@@ -132,7 +180,10 @@ impl Apart {
         };
         let variance = apart(layers, slots, |k, first, out: &mut [f32]| match layers {
             1 => out.copy_from_slice(&stack.light.variance[first..][..out.len()]),
-            _ => out.iter_mut().zip(first..).for_each(|(out, slot)| *out = stack.layer_variance[slot * layers + k]),
+            _ => {
+                let slots = out.iter_mut().zip(&stack.layer_variance[first..]);
+                slots.for_each(|(out, variance)| *out = variance.of_layer(k));
+            }
         });
         let whole = (layers > 1).then(|| stack.light.variance.clone()).into_iter().collect();
         Apart::new(light(&stack.light.direct), light(&stack.light.indirect), variance, whole)
@@ -141,25 +192,34 @@ impl Apart {
     fn new(direct: Vec<Vec<Vec3>>, indirect: Vec<Vec<Vec3>>, variance: Vec<Vec<f32>>, whole: Vec<Vec<f32>>) -> Apart {
         let parts = direct.into_iter().zip(indirect).zip(variance);
         let layer = |((direct, indirect), variance)| LightValues { direct, indirect, variance };
-        Apart { layers: parts.map(layer).collect(), variance: whole.into_iter().next() }
+        Apart { layers: Values::Dense(parts.map(layer).collect()), variance: whole.into_iter().next() }
     }
 
     fn fill(&mut self, validity: &Validity) {
-        self.layers.par_iter_mut().for_each(|layer| validity.fill_light(layer));
-        self.variance.iter_mut().for_each(|variance| validity.fill_scalars(variance, 1));
+        if let Values::Dense(layers) = &mut self.layers {
+            layers.par_iter_mut().for_each(|layer| validity.fill_light(layer));
+        }
+        self.variance.iter_mut().for_each(|variance| validity.fill(variance));
     }
 
     /// The layers, with their headers.
     pub(crate) fn named(self, headers: &[LayerHeader]) -> Computed {
-        let named = |(light, header): (LightValues, &LayerHeader)| {
+        let layers: Vec<SparseLight> = match self.layers {
+            Values::Dense(layers) => layers.into_iter().map(SparseLight::from).collect(),
+            Values::Sparse(layers) => layers,
+        };
+        let named = |(light, header): (SparseLight, &LayerHeader)| {
             Arc::new(Layer { name: header.name.clone(), lights: header.lights.clone(), light })
         };
-        Computed { layers: self.layers.into_iter().zip(headers).map(named).collect(), variance: self.variance }
+        Computed { layers: layers.into_iter().zip(headers).map(named).collect(), variance: self.variance }
     }
 
     /// A single layer as a map without any.
     pub(crate) fn into_map(self) -> LightMap {
-        self.layers.into_iter().next().unwrap_or_default().into()
+        match self.layers {
+            Values::Dense(layers) => layers.into_iter().next().unwrap_or_default().into(),
+            Values::Sparse(layers) => layers.first().map(SparseLight::to_dense).unwrap_or_default().into(),
+        }
     }
 }
 
@@ -179,6 +239,78 @@ fn apart<T: Default + Clone + Send>(
         layers.into_iter().enumerate().for_each(|(k, values)| write(k, first, values));
     });
     out
+}
+
+/// Layers where they matter; where they do not, their light is left to the first.
+fn where_they_matter<V: Value>(stack: &Stack<V>, layers: usize) -> Vec<SparseLight> {
+    let slots = stack.light.len();
+    let of_block = |index: usize| {
+        let own = index * BLOCK_SLOTS..slots.min((index + 1) * BLOCK_SLOTS);
+        block_apart(stack, own, layers)
+    };
+    let blocks: Vec<Vec<(usize, LightValues)>> = (0..blocks_of(slots)).into_par_iter().map(of_block).collect();
+    let layer = |layer: usize| {
+        let of_block = |(index, found): (usize, &'_ Vec<(usize, LightValues)>)| {
+            let place = found.binary_search_by_key(&layer, |(own, _)| *own).ok()?;
+            Some((index, place))
+        };
+        let there = blocks.iter().enumerate().filter_map(of_block);
+        SparseLight::of_blocks(slots, there.map(|(index, place)| (index, blocks[index][place].1.block(0))))
+    };
+    (0..layers).into_par_iter().map(layer).collect()
+}
+
+/// Layers that matter in a block, ascending, with their light; the first is always there.
+fn block_apart<V: Value>(stack: &Stack<V>, slots: Range<usize>, layers: usize) -> Vec<(usize, LightValues)> {
+    let mut block = Block { slots: slots.len(), places: vec![u16::MAX; layers], found: Vec::new() };
+    block.at(0);
+    for (k, slot) in slots.clone().enumerate() {
+        stack.light.direct[slot].for_layers(|layer, light| block.at(layer).direct[k] += light);
+        stack.light.indirect[slot].for_layers(|layer, light| block.at(layer).indirect[k] += light);
+    }
+    for (k, slot) in slots.enumerate() {
+        stack.layer_variance[slot].for_layers(|layer, variance| block.at(layer).variance[k] += variance);
+    }
+    block.where_they_matter()
+}
+
+/// Layers of some slots as they are found.
+struct Block {
+    slots: usize,
+    /// Per layer: place in `found`, or the greatest number.
+    places: Vec<u16>,
+    found: Vec<(usize, LightValues)>,
+}
+
+impl Block {
+    /// The light of a layer.
+    fn at(&mut self, layer: usize) -> &mut LightValues {
+        if self.places[layer] == u16::MAX {
+            self.places[layer] = self.found.len() as u16;
+            self.found.push((layer, LightValues::black(self.slots)));
+        }
+        &mut self.found[usize::from(self.places[layer])].1
+    }
+
+    /// The layers that matter, ascending, and the first with the light of the others.
+    fn where_they_matter(self) -> Vec<(usize, LightValues)> {
+        let size =
+            |light: &LightValues, k: usize| light.direct[k].abs().max_element() + light.indirect[k].abs().max_element();
+        let least: Vec<f32> =
+            (0..self.slots).map(|k| LEAST * self.found.iter().map(|(_, light)| size(light, k)).sum::<f32>()).collect();
+        let matters = |(layer, light): &(usize, LightValues)| {
+            *layer == 0 || least.iter().enumerate().any(|(k, least)| size(light, k) > *least)
+        };
+        let (mut kept, others): (Vec<_>, Vec<_>) = self.found.into_iter().partition(matters);
+        kept.sort_unstable_by_key(|(layer, _)| *layer);
+        let rest = &mut kept[0].1;
+        for (_, light) in others {
+            rest.direct.iter_mut().zip(light.direct).for_each(|(rest, light)| *rest += light);
+            rest.indirect.iter_mut().zip(light.indirect).for_each(|(rest, light)| *rest += light);
+            rest.variance.iter_mut().zip(light.variance).for_each(|(rest, v)| *rest += v);
+        }
+        kept
+    }
 }
 
 /// Layers with their headers.
@@ -252,7 +384,7 @@ mod tests {
             LightValues { direct: light(before), indirect: light(before), variance }
         };
         let old: Vec<LightValues> = (0..layers).map(layer).collect();
-        let old = Old::new(old.iter().collect(), &old[0].variance, &transition);
+        let old = Old::new(old.iter().map(AnyLight::Dense).collect(), &old[0].variance, &transition);
         let validity = &transition.after.validity;
         let at_once = Apart::of_mean(&sum, Some(&old), validity);
         let stack = Stack::of_mean(&sum, Some(&old.stack()), validity);
@@ -260,7 +392,8 @@ mod tests {
         assert!(at_once.layers == by_way.layers && at_once.variance == by_way.variance);
         // What has gone leaves nothing, and new slots have nothing but their own.
         let (slot, mean) = (transition.new_slots[0] as usize, sum.mean());
-        assert_eq!(at_once.layers[layers - 1].direct[slot], mean.direct[slot].layer(layers - 1));
+        let Values::Dense(apart) = &at_once.layers else { panic!("of few layers all are there") };
+        assert_eq!(apart[layers - 1].direct[slot], mean.direct[slot].layer(layers - 1));
         let total: Vec<V> = old.total();
         assert_eq!(total.len(), before);
     }

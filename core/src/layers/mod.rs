@@ -8,6 +8,7 @@
 mod apart;
 mod plan;
 mod regroup;
+mod rest;
 mod stack;
 #[cfg(test)]
 mod tests;
@@ -17,16 +18,25 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::lightmap::LightMap;
+use crate::lightmap::{AnyLight, LightMap};
 use crate::scene::Scene;
 use crate::transport::black;
 use crate::world::{Emitters, World};
 
-pub use crate::lightmap::{Layer, LayerHeader, LayerLight, LightValues, MAX_GROUPS, MAX_LAYERS};
+pub use crate::lightmap::{
+    BLOCK_SLOTS, Layer, LayerHeader, LayerLight, LightBlock, LightValues, MAX_GROUPS, MAX_LAYERS, SIDE_BY_SIDE,
+    SparseLight, blocks_of,
+};
 pub(crate) use apart::{Apart, Computed, Old};
-pub(crate) use plan::{Plan, groups_of, headers_of_layers, is_new, moved_layers, wants_layers};
+pub(crate) use plan::{Piece, Plan, groups_of, headers_of_layers, is_new, moved_layers, wants_layers};
 pub(crate) use regroup::{Pieces, renamed};
+pub use rest::REST_LAYER;
+pub(crate) use rest::{add_square_of_rest, at_strength_of, off_by, thin, thinned};
 pub(crate) use stack::{Stack, weights_within};
+
+/// Of more layers than are carried side by side, a block is kept where any of its slots has more than this part of all
+/// light there.
+const LEAST: f32 = 4e-3;
 
 /// Name of the layer of the lights that share one by default.
 pub const SHARED_LAYER: &str = "shared";
@@ -78,64 +88,108 @@ impl LightMap {
     /// Bytes of values, those of layers included.
     pub fn memory_bytes(&self) -> usize {
         const SLOT: usize = 2 * size_of::<Vec3>() + size_of::<f32>();
-        self.len() * SLOT + self.layers.iter().map(|layer| layer.light.len() * SLOT).sum::<usize>()
+        self.len() * SLOT + self.layers.iter().map(|layer| layer.light.memory_bytes()).sum::<usize>()
     }
 }
 
 /// The map that layers make with their weights. The stated variance takes `correlation` between layers as it is.
 pub(crate) fn whole(layers: Vec<Arc<Layer>>, weights: &[Vec3], correlation: f64) -> LightMap {
-    let parts: Vec<&LightValues> = layers.iter().map(|layer| &layer.light).collect();
-    let variance = variance_of(&parts, weights, correlation);
+    let variance = stated_variance(&layers, weights, correlation);
     whole_with(layers, weights, variance)
+}
+
+/// Variance of the weighted sum of layers, per slot, with what their rest is off by at these weights.
+fn stated_variance(layers: &[Arc<Layer>], weights: &[Vec3], correlation: f64) -> Vec<f32> {
+    let parts: Vec<AnyLight> = layers.iter().map(|layer| AnyLight::Sparse(&layer.light)).collect();
+    let mut variance = variance_of(&parts, weights, correlation);
+    let off = rest::off_by(layers, weights);
+    if let Some(rest) = layers.first().filter(|layer| off > 0.0 && layer.lights.is_empty()) {
+        rest::add_square_of_rest(&mut variance, &rest.light, off);
+    }
+    variance
 }
 
 /// The map that layers make with their weights, whose variance (mean over RGB, per slot) is known.
 pub(crate) fn whole_with(layers: Vec<Arc<Layer>>, weights: &[Vec3], variance: Vec<f32>) -> LightMap {
     let len = layers.first().map_or(0, |layer| layer.light.len());
-    let sum = |part: fn(&LightValues) -> &[Vec3]| -> Vec<Vec3> {
-        let mut out: Vec<Vec3> = black(len);
-        out.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, out)| {
+    let mut light = LightValues { direct: black(len), indirect: black(len), variance };
+    sum_blocks(&mut light, &layers, weights, |_| true);
+    LightMap { light, layers }
+}
+
+/// Writes the weighted sum of layers into the blocks that are wanted.
+fn sum_blocks(
+    light: &mut LightValues,
+    layers: &[Arc<Layer>],
+    weights: &[Vec3],
+    is_wanted: impl Fn(usize) -> bool + Sync,
+) {
+    let sum = |values: &mut [Vec3], part: for<'a> fn(&LightBlock<'a>) -> &'a [Vec3]| {
+        let blocks = values.par_chunks_mut(BLOCK_SLOTS).enumerate().with_min_len(CHUNK / BLOCK_SLOTS);
+        blocks.filter(|(index, _)| is_wanted(*index)).for_each(|(index, out)| {
+            out.fill(Vec3::ZERO);
             for (layer, weight) in layers.iter().zip(weights) {
-                let values = &part(&layer.light)[chunk * CHUNK..][..out.len()];
-                out.iter_mut().zip(values).for_each(|(o, v)| *o += *v * *weight);
+                let Some(block) = layer.light.block(index) else { continue };
+                out.iter_mut().zip(part(&block)).for_each(|(o, v)| *o += *v * *weight);
             }
         });
-        out
     };
-    let (direct, indirect) = (sum(|l| &l.direct), sum(|l| &l.indirect));
-    LightMap { light: LightValues { direct, indirect, variance }, layers }
+    sum(&mut light.direct, |block| block.direct);
+    sum(&mut light.indirect, |block| block.indirect);
+}
+
+/// Calls `f` with the values of every block of a chunk ([`CHUNK`] slots) in which there is light, and that light.
+fn for_blocks<T>(values: &mut [T], chunk: usize, light: AnyLight, mut f: impl FnMut(&mut [T], &LightBlock)) {
+    let first = chunk * (CHUNK / BLOCK_SLOTS);
+    for (index, values) in (first..).zip(values.chunks_mut(BLOCK_SLOTS)) {
+        light.block(index).iter().for_each(|block| f(values, block));
+    }
 }
 
 /// Variance of the weighted sum of layers, per slot.
-fn variance_of(layers: &[&LightValues], weights: &[Vec3], correlation: f64) -> Vec<f32> {
-    let len = layers.first().map_or(0, |layer| layer.len());
+fn variance_of(layers: &[AnyLight], weights: &[Vec3], correlation: f64) -> Vec<f32> {
+    let len = layers.first().map_or(0, AnyLight::len);
     let correlation = correlation as f32;
     let factors: Vec<f32> = weights.iter().map(|w| w.length_squared() / 3.0).collect();
     let mut variance = vec![0.0f32; len];
     variance.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, variance)| {
-        let mut equal = [0.0f32; CHUNK];
-        let equal = &mut equal[..variance.len()];
+        let mut sums = [(0.0f32, 0.0f32); CHUNK];
+        let sums = &mut sums[..variance.len()];
         for (layer, factor) in layers.iter().zip(&factors) {
-            let values = &layer.variance[chunk * CHUNK..][..variance.len()];
-            for ((sum, equal), value) in variance.iter_mut().zip(&mut *equal).zip(values) {
-                let value = value * factor;
-                *sum += value;
-                *equal += value.sqrt();
-            }
+            for_blocks(sums, chunk, *layer, |sums, block| {
+                for ((sum, equal), value) in sums.iter_mut().zip(block.variance) {
+                    let value = value * factor;
+                    *sum += value;
+                    *equal += value.sqrt();
+                }
+            });
         }
-        for (sum, equal) in variance.iter_mut().zip(equal) {
-            *sum = (*sum + correlation * (*equal * *equal - *sum)).max(0.0);
+        for (variance, (sum, equal)) in variance.iter_mut().zip(sums) {
+            *variance = (*sum + correlation * (*equal * *equal - *sum)).max(0.0);
         }
     });
     variance
 }
 
-/// The map of layers that take the place of those of `old`, one by one, with the weights of `after`.
+/// The map of layers that take the place of those of `old`, one by one, with the weights of `after`. Only what changes is
+/// summed anew.
 pub(crate) fn whole_of(layers: Vec<Arc<Layer>>, old: &LightMap, before: &Scene, after: &Scene) -> LightMap {
-    let correlation = correlation(old, &old.layer_weights(before));
-    let map = LightMap { layers, ..LightMap::default() };
+    let old_weights = old.layer_weights(before);
+    let correlation = correlation(old, &old_weights);
+    let mut map = LightMap { light: LightValues::default(), layers };
     let weights = map.layer_weights(after);
-    whole(map.layers, &weights, correlation)
+    let variance = stated_variance(&map.layers, &weights, correlation);
+    if map.layers.len() != old.layers.len() {
+        return whole_with(map.layers, &weights, variance);
+    }
+    let mut has_changed = vec![false; blocks_of(old.len())];
+    let pairs = map.layers.iter().zip(&old.layers).zip(weights.iter().zip(&old_weights));
+    for ((new, old), _) in pairs.filter(|((new, old), (a, b))| !Arc::ptr_eq(new, old) || a != b) {
+        new.light.blocks().chain(old.light.blocks()).for_each(|(index, _)| has_changed[index] = true);
+    }
+    map.light = LightValues { direct: old.light.direct.clone(), indirect: old.light.indirect.clone(), variance };
+    sum_blocks(&mut map.light, &map.layers, &weights, |index| has_changed[index]);
+    map
 }
 
 /// Slots per task: two parts of it fit in the cache.
@@ -152,11 +206,13 @@ pub(crate) fn correlation(map: &LightMap, weights: &[Vec3]) -> f64 {
     }
     let factors: Vec<f32> = weights.iter().map(|w| w.length_squared() / 3.0).collect();
     let (mut measured, mut independent, mut equal) = (0.0f64, 0.0f64, 0.0f64);
-    let step = map.len().div_ceil(CORRELATION_SLOTS).max(1);
+    // Few slots of many layers tell as much.
+    let slots = (SIDE_BY_SIDE * CORRELATION_SLOTS / map.layers.len()).clamp(CORRELATION_SLOTS / 8, CORRELATION_SLOTS);
+    let step = map.len().div_ceil(slots).max(1);
     for slot in (0..map.len()).step_by(step) {
         let (mut sum, mut root) = (0.0, 0.0);
         for (layer, factor) in map.layers.iter().zip(&factors) {
-            let variance = layer.light.variance[slot] * factor;
+            let variance = AnyLight::Sparse(&layer.light).variance(slot) * factor;
             sum += variance;
             root += variance.sqrt();
         }

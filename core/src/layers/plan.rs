@@ -4,7 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use glam::Vec3;
 
-use super::{LayerHeader, LayerLight, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER, strength_of, weight_of};
+use super::rest::with_rest;
+use super::{
+    LayerHeader, LayerLight, MAX_GROUPS, MAX_LAYERS, REST_LAYER, SHARED_LAYER, SIDE_BY_SIDE, strength_of, weight_of,
+};
 use crate::lightmap::LightMap;
 use crate::scene::Scene;
 use crate::world::Transition;
@@ -72,6 +75,9 @@ pub(crate) fn groups_of(scene: &Scene) -> Vec<LayerHeader> {
         header.lights.push(LayerLight { name: light.name.clone(), reference: light.strength() });
     }
     let mut headers: Vec<LayerHeader> = groups.into_values().collect();
+    if headers.len() > SIDE_BY_SIDE {
+        return with_rest(headers);
+    }
     headers.iter_mut().for_each(at_unit);
     headers
 }
@@ -108,10 +114,26 @@ impl Plan {
         let old = headers_of(map, before);
         let mut quota = Quota::new(&old);
         for (index, header) in old.iter().enumerate() {
+            if header.is_rest() {
+                let pieces = vec![(Piece::Old(index), Vec3::ONE)];
+                plan.regrouped.push(Planned { header: header.clone(), pieces });
+                continue;
+            }
             plan.divide(index, header, before, after, &mut quota);
         }
         plan.assemble(before, after);
+        if plan.after.len() > SIDE_BY_SIDE && !plan.after[0].0.is_rest() {
+            plan.add_rest();
+        }
         plan
+    }
+
+    /// A first layer for what is left of the others where they matter little: there is nothing yet.
+    fn add_rest(&mut self) {
+        let header = LayerHeader { name: self.free_name(REST_LAYER.to_owned()), lights: Vec::new() };
+        self.after.insert(0, (header.clone(), Some(self.regrouped.len())));
+        self.changed.iter_mut().for_each(|place| *place += 1);
+        self.regrouped.push(Planned { header, pieces: Vec::new() });
     }
 
     /// Puts the lights of an old layer where they belong.
@@ -199,7 +221,14 @@ impl Plan {
             }
             self.after.push((header, Some(index)));
         }
-        let came = after.lights.iter().filter(|light| strength_of(before, &light.name).is_none());
+        // Of many layers, those of lamps that were off may be missing.
+        let known: BTreeSet<String> =
+            self.regrouped.iter().flat_map(|p| p.header.lights.iter().map(|light| light.name.clone())).collect();
+        let comes = |light: &&crate::scene::Light| {
+            let was_dark = !known.contains(&light.name) && light.strength() != Vec3::ZERO;
+            strength_of(before, &light.name).is_none() || was_dark
+        };
+        let came = after.lights.iter().filter(comes);
         let joined: BTreeSet<usize> =
             came.filter_map(|light| self.add_new(after, &light.name, light.strength())).collect();
         for (k, (header, origin)) in self.after.iter_mut().enumerate() {
@@ -218,8 +247,8 @@ impl Plan {
     fn add_new(&mut self, after: &Scene, name: &str, strength: Vec3) -> Option<usize> {
         let group = after.groups.get(name);
         let mut place = self.after.iter().position(|(header, _)| Some(&header.name) == group);
-        if place.is_none() && self.after.len() >= MAX_LAYERS {
-            place = Some(0);
+        if place.is_none() && self.after.len() >= MAX_LAYERS - 1 {
+            place = self.after.iter().position(|(header, _)| !header.is_rest());
         }
         let light = LayerLight { name: name.to_owned(), reference: strength };
         if let Some(place) = place {
@@ -278,7 +307,7 @@ struct Quota {
 impl Quota {
     fn new(old: &[LayerHeader]) -> Quota {
         let known = old.iter().map(|header| header.name.clone()).collect();
-        Quota { left: MAX_LAYERS.saturating_sub(old.len()), known }
+        Quota { left: (MAX_LAYERS - 1).saturating_sub(old.len()), known }
     }
 
     fn take(&mut self, name: &str) -> bool {

@@ -3,10 +3,11 @@
 use std::sync::Arc;
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::plan::{Piece, Plan, Planned};
 use super::{Layer, LayerHeader, variance_of};
-use crate::lightmap::{LightMap, LightValues};
+use crate::lightmap::{AnyLight, BLOCK_SLOTS, LightMap, LightValues};
 
 /// What the layers of a plan are put together from.
 #[derive(Clone, Copy)]
@@ -37,10 +38,10 @@ impl Pieces<'_> {
         for &(piece, factor) in &planned.pieces {
             match piece {
                 Piece::Old(index) => light.add_scaled(old[index], factor),
-                Piece::Leaving(index) => light.add_scaled(&self.leaving[index].light, factor),
+                Piece::Leaving(index) => light.add_scaled(AnyLight::Sparse(&self.leaving[index].light), factor),
             }
         }
-        Arc::new(Layer { name, lights, light })
+        Arc::new(Layer { name, lights, light: light.into() })
     }
 
     /// Variance of the new map, whose layers have these weights: light that leaves one layer for another is in both,
@@ -61,19 +62,36 @@ impl Pieces<'_> {
         let square = |v: &Vec3| v.length_squared() / 3.0;
         let mut variance = variance_of(&parts, &old, correlation);
         for (layer, factor) in self.leaving.iter().zip(new.iter().map(square)) {
-            variance.iter_mut().zip(&layer.light.variance).for_each(|(sum, v)| *sum += v * factor);
+            for (index, block) in layer.light.blocks() {
+                let sums = variance[index * BLOCK_SLOTS..].iter_mut();
+                sums.zip(block.variance).for_each(|(sum, v)| *sum += v * factor);
+            }
         }
         variance
     }
 }
 
 impl LightValues {
+    /// Adds `factor` times light, and leaves the variance as it is.
+    pub(crate) fn add_light(&mut self, light: AnyLight, factor: Vec3) {
+        let blocks = self.direct.par_chunks_mut(BLOCK_SLOTS).zip(self.indirect.par_chunks_mut(BLOCK_SLOTS));
+        blocks.enumerate().with_min_len(64).for_each(|(index, (direct, indirect))| {
+            let Some(block) = light.block(index) else { return };
+            direct.iter_mut().zip(block.direct).for_each(|(s, v)| *s += *v * factor);
+            indirect.iter_mut().zip(block.indirect).for_each(|(s, v)| *s += *v * factor);
+        });
+    }
+
     /// Adds `factor` times independent light.
-    fn add_scaled(&mut self, light: &LightValues, factor: Vec3) {
+    fn add_scaled(&mut self, light: AnyLight, factor: Vec3) {
         let square = factor.length_squared() / 3.0;
-        self.direct.iter_mut().zip(&light.direct).for_each(|(s, v)| *s += *v * factor);
-        self.indirect.iter_mut().zip(&light.indirect).for_each(|(s, v)| *s += *v * factor);
-        self.variance.iter_mut().zip(&light.variance).for_each(|(s, v)| *s += *v * square);
+        let blocks = self.direct.chunks_mut(BLOCK_SLOTS).zip(self.indirect.chunks_mut(BLOCK_SLOTS));
+        for (index, ((direct, indirect), variance)) in blocks.zip(self.variance.chunks_mut(BLOCK_SLOTS)).enumerate() {
+            let Some(block) = light.block(index) else { continue };
+            direct.iter_mut().zip(block.direct).for_each(|(s, v)| *s += *v * factor);
+            indirect.iter_mut().zip(block.indirect).for_each(|(s, v)| *s += *v * factor);
+            variance.iter_mut().zip(block.variance).for_each(|(s, v)| *s += *v * square);
+        }
     }
 }
 

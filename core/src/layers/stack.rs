@@ -1,6 +1,6 @@
 //! Layers as transport computes them: side by side per slot.
 
-use std::ops::Add;
+use std::ops::{Add, Mul, Sub};
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -18,20 +18,25 @@ pub(crate) fn weights_within(weights: &[Vec3]) -> &[Vec3] {
     if weights.len() > 1 { weights } else { &[Vec3::ONE] }
 }
 
+/// A number, or one per layer.
+trait Scalar: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<f32, Output = Self> {}
+
+impl<T: Copy + Add<Output = T> + Sub<Output = T> + Mul<f32, Output = T>> Scalar for T {}
+
 /// Light of some layers per slot.
 #[derive(Clone, Debug)]
-pub(crate) struct Stack<V> {
+pub(crate) struct Stack<V: Value> {
     /// The variance is that of the weighted sum of all layers.
     pub light: LightValues<V>,
-    /// Variance of every layer, those of a slot side by side; empty for one layer.
-    pub layer_variance: Vec<f32>,
+    /// Variance of every layer.
+    pub layer_variance: Vec<V::Scalars>,
 }
 
 impl<V: Value> Stack<V> {
-    /// Light of `layers` layers whose error is not known.
-    pub(crate) fn without_error(direct: Vec<V>, indirect: Vec<V>, layers: usize) -> Stack<V> {
+    /// Light whose error is not known.
+    pub(crate) fn without_error(direct: Vec<V>, indirect: Vec<V>) -> Stack<V> {
         let len = direct.len();
-        let layer_variance = vec![0.0; if layers > 1 { len * layers } else { 0 }];
+        let layer_variance = vec![V::Scalars::default(); len];
         Stack { light: LightValues { direct, indirect, variance: vec![0.0; len] }, layer_variance }
     }
 
@@ -47,10 +52,9 @@ impl<V: Value> Stack<V> {
                 None => values.with_min_len(CHUNK).collect(),
             }
         }
-        let (mean, scatter, layers) = (sum.mean(), sum.scatter(), sum.layers());
+        let (mean, scatter) = (sum.mean(), sum.scatter());
         let slots = mean.len();
-        let of_layers = if layers > 1 { slots * layers } else { 0 };
-        let of_layer = (0..of_layers).into_par_iter().map(|k| scatter.of_layer(k % layers, k / layers));
+        let of_layers = (0..slots).into_par_iter().map(|slot| scatter.of_layers(slot));
         let of_whole = (0..slots).into_par_iter().map(|slot| scatter.of_whole(slot));
         let mut stack = Stack {
             light: LightValues {
@@ -58,7 +62,7 @@ impl<V: Value> Stack<V> {
                 indirect: total(mean.indirect.par_iter().copied(), to.map(|to| &*to.light.indirect)),
                 variance: total(of_whole, to.map(|to| &*to.light.variance)),
             },
-            layer_variance: total(of_layer, to.map(|to| &*to.layer_variance)),
+            layer_variance: total(of_layers, to.map(|to| &*to.layer_variance)),
         };
         stack.fill_invalid(validity);
         stack
@@ -71,45 +75,35 @@ impl<V: Value> Stack<V> {
         slots: impl Iterator<Item = (u32, f32)>,
         shared: Option<&Stack<V>>,
     ) {
-        let layers = self.layers_of_variance();
+        fn part<T: Scalar>(weight: f32, old: T, a: T, b: T) -> T {
+            old + (b - old) * (weight * weight) + (a - old) * ((1.0 - weight) * (1.0 - weight))
+        }
         for (slot, weight) in slots {
             let slot = slot as usize;
-            let part = |old: f32, a: f32, b: f32| {
-                old + weight * weight * (b - old) + (1.0 - weight) * (1.0 - weight) * (a - old)
-            };
             let mix = |a: V, b: V| a + (b - a) * weight;
             let (light, theirs) = (&mut self.light, &other.light);
             light.direct[slot] = mix(light.direct[slot], theirs.direct[slot]);
             light.indirect[slot] = mix(light.indirect[slot], theirs.indirect[slot]);
             let old = shared.map_or(0.0, |s| s.light.variance[slot]);
-            light.variance[slot] = part(old, light.variance[slot], theirs.variance[slot]);
-            for k in slot * layers..(slot + 1) * layers {
-                let old = shared.map_or(0.0, |s| s.layer_variance[k]);
-                self.layer_variance[k] = part(old, self.layer_variance[k], other.layer_variance[k]);
-            }
+            light.variance[slot] = part(weight, old, light.variance[slot], theirs.variance[slot]);
+            let old = shared.map_or_else(V::Scalars::default, |s| s.layer_variance[slot]);
+            self.layer_variance[slot] = part(weight, old, self.layer_variance[slot], other.layer_variance[slot]);
         }
     }
 
     /// Takes the values of another in some slots, bit for bit.
     pub(crate) fn take(&mut self, other: &Stack<V>, slots: impl Iterator<Item = u32>) {
-        let layers = self.layers_of_variance();
         for slot in slots.map(|slot| slot as usize) {
             self.light.direct[slot] = other.light.direct[slot];
             self.light.indirect[slot] = other.light.indirect[slot];
             self.light.variance[slot] = other.light.variance[slot];
-            let its_layers = slot * layers..(slot + 1) * layers;
-            self.layer_variance[its_layers.clone()].copy_from_slice(&other.layer_variance[its_layers]);
+            self.layer_variance[slot] = other.layer_variance[slot];
         }
-    }
-
-    fn layers_of_variance(&self) -> usize {
-        self.layer_variance.len().checked_div(self.light.len()).unwrap_or(0)
     }
 
     /// Invalid elements take their neighbours' values.
     pub(crate) fn fill_invalid(&mut self, validity: &Validity) {
         validity.fill_light(&mut self.light);
-        let layers = self.layers_of_variance();
-        validity.fill_scalars(&mut self.layer_variance, layers);
+        validity.fill(&mut self.layer_variance);
     }
 }

@@ -5,7 +5,9 @@ use std::sync::Arc;
 use glam::{DVec3, Vec3};
 
 use super::plan::{Piece, Plan, groups_of, wants_layers};
-use super::{Layer, LayerHeader, LayerLight, MAX_LAYERS, SHARED_LAYER, weight_of};
+use super::{
+    Layer, LayerHeader, LayerLight, MAX_GROUPS, MAX_LAYERS, REST_LAYER, SHARED_LAYER, SIDE_BY_SIDE, weight_of,
+};
 use crate::lightmap::LightMap;
 use crate::scene::{Light, LightKind, Scene};
 
@@ -96,7 +98,7 @@ fn lights_come_and_go() {
 
 #[test]
 fn there_are_never_more_layers_than_fit() {
-    let names: Vec<String> = (0..40).map(|i| format!("l{i}")).collect();
+    let names: Vec<String> = (0..MAX_LAYERS + 40).map(|i| format!("l{i}")).collect();
     let strengths = |by: f32| -> Vec<(&str, f32)> {
         names.iter().enumerate().map(|(i, n)| (n.as_str(), 1.0 + by * i as f32)).collect()
     };
@@ -108,17 +110,52 @@ fn there_are_never_more_layers_than_fit() {
     held.dedup();
     assert_eq!(held.len(), names.len(), "every light is in one layer");
     // Those that had to stay together change in it, and hold their present strength.
-    assert_eq!(plan.changed, [0]);
+    assert_eq!(plan.changed, [1]);
+    // What is left of all where they matter little comes first, and is nothing yet.
+    let (rest, origin) = &plan.after[0];
+    assert!(rest.is_rest() && plan.regrouped[origin.unwrap()].pieces.is_empty());
     assert!(plan.after.iter().all(|(h, _)| weight_of(&h.lights, &scene(&after, &[])).is_some()));
 }
 
 #[test]
 fn more_groups_than_layers_share_one() {
-    let names: Vec<String> = (0..20).map(|k| format!("lamp-{k:02}")).collect();
+    let names: Vec<String> = (0..MAX_LAYERS + 5).map(|k| format!("lamp-{k:04}")).collect();
     let lights: Vec<(&str, f32)> = names.iter().map(|name| (name.as_str(), 1.0)).collect();
     let groups: Vec<(&str, &str)> = names.iter().map(|name| (name.as_str(), name.as_str())).collect();
     let headers = groups_of(&scene(&lights, &groups));
     assert_eq!(headers.len(), MAX_LAYERS);
     let shared = headers.iter().find(|header| header.name == SHARED_LAYER).unwrap();
-    assert_eq!(shared.lights.len(), 20 - (MAX_LAYERS - 1));
+    assert_eq!(shared.lights.len(), names.len() - MAX_GROUPS);
+}
+
+#[test]
+fn more_layers_than_fit_side_by_side_have_a_rest_and_are_held_as_they_are() {
+    let names: Vec<String> = (0..20).map(|k| format!("lamp-{k:02}")).collect();
+    let lights: Vec<(&str, f32)> = names.iter().enumerate().map(|(k, name)| (name.as_str(), k as f32)).collect();
+    let group =
+        |count: usize| -> Vec<(&str, &str)> { names[..count].iter().map(|n| (n.as_str(), n.as_str())).collect() };
+    let few = groups_of(&scene(&lights, &group(15)));
+    assert!(few.len() == SIDE_BY_SIDE && few.iter().all(|header| !header.is_rest()));
+    let many = groups_of(&scene(&lights, &group(16)));
+    // The lamp that is off has no layer: it is in none of the 15 groups that are left, the shared one and the rest.
+    assert_eq!((many.len(), many[0].name.as_str(), many[0].is_rest()), (SIDE_BY_SIDE + 1, REST_LAYER, true));
+    let reference = |name: &str| many.iter().find(|header| header.name == name).map(|h| h.lights[0].reference.x);
+    assert_eq!((reference("lamp-00"), reference("lamp-07")), (None, Some(7.0)));
+    // The rest stays the first, as it is, through edits.
+    let as_lights = |header: &LayerHeader| (header.name.clone(), header.lights.clone());
+    let layer = |header: &LayerHeader| {
+        let (name, lights) = as_lights(header);
+        Arc::new(Layer { name, lights, ..Layer::default() })
+    };
+    let old = LightMap { layers: many.iter().map(layer).collect(), ..LightMap::default() };
+    let mut brighter = lights.clone();
+    brighter[3].1 = 30.0;
+    let plan = Plan::new(&scene(&lights, &group(16)), &scene(&brighter, &group(16)), &old);
+    assert!(plan.after[0].0.is_rest() && plan.changed.is_empty() && plan.leaving.is_empty());
+    assert_eq!(plan.regrouped[0].pieces, [(Piece::Old(0), Vec3::ONE)]);
+    // It gets one when it is turned on.
+    brighter[0].1 = 2.0;
+    let plan = Plan::new(&scene(&lights, &group(16)), &scene(&brighter, &group(16)), &old);
+    let (header, origin) = plan.after.last().unwrap();
+    assert_eq!((header.name.as_str(), *origin, &*plan.changed), ("lamp-00", None, &[plan.after.len() - 1][..]));
 }

@@ -11,15 +11,12 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::rows::{NONE, offsets};
-use super::{Rows, Subset, gmres};
+use super::{Rows, Solvable, Subset};
 use crate::job::Canceled;
 use crate::random::{PartSeed, Pcg32};
 use crate::transport::{End, Radiance, Source, Work, gather_paths};
 use crate::value::Value;
 use crate::world::World;
-
-/// Residual of the solve, relative to its source.
-const TOLERANCE: f64 = 1e-4;
 
 /// Paths that a row borrows of its neighbours.
 const BORROWED: f32 = 4.0;
@@ -69,12 +66,48 @@ fn chunks<'a>(offsets: &'a [usize], entries: &'a mut [Entry]) -> impl Iterator<I
     })
 }
 
-/// A sampled transport matrix and the first gather of a source along its rays.
-pub(crate) struct Exchange<V> {
+/// A sampled transport matrix.
+pub(crate) struct Matrix {
     rows: Arc<Rows>,
     /// `offsets[i]..offsets[i + 1]` are the entries of row `i`.
     offsets: Vec<usize>,
     entries: Vec<Entry>,
+}
+
+impl Matrix {
+    /// T̂ x. Rows borrow paths of their neighbours: a few paths alone may all end where they came from, and a matrix
+    /// with such a cycle has far more light go round than there is.
+    pub(super) fn apply<V: Value>(&self, x: &[V]) -> Vec<V> {
+        let mut means = self.mean_of_rows(|e| e.row, x);
+        for ends in self.rows.neighbours.windows(2) {
+            let rows = ends[0]..ends[1];
+            let paths = |row: usize| (self.offsets[row + 1] - self.offsets[row]) as f32;
+            let all = (self.offsets[rows.end] - self.offsets[rows.start]) as f32;
+            let mean = rows.clone().map(|row| means[row] * paths(row)).sum::<V>() / all;
+            for row in rows {
+                let own = paths(row);
+                means[row] = (means[row] * own + mean * BORROWED) / (own + BORROWED);
+            }
+        }
+        means
+    }
+
+    /// Per row: the mean over its paths of `values` where they end, `NONE` being nowhere.
+    fn mean_of_rows<V: Value>(&self, end: impl Fn(&Entry) -> u32 + Sync, values: &[V]) -> Vec<V> {
+        let of_row = |ends: &[usize]| -> V {
+            let entries = &self.entries[ends[0]..ends[1]];
+            let met = entries.iter().filter(|e| end(e) != NONE);
+            let mut sum = V::default();
+            met.for_each(|e| sum.add_scaled(&values[end(e) as usize], e.weight));
+            sum / entries.len() as f32
+        };
+        self.offsets.par_windows(2).with_min_len(256).map(of_row).collect()
+    }
+}
+
+/// A sampled transport matrix and the first gather of a source along its rays.
+pub(crate) struct Exchange<V> {
+    matrix: Matrix,
     /// First gather, per row.
     pub first: Vec<V>,
 }
@@ -106,61 +139,37 @@ impl<V: Value> Exchange<V> {
             work.count(rays);
             Ok(())
         })?;
-        Ok(Exchange { rows: Arc::clone(rows), offsets, entries, first })
+        Ok(Exchange { matrix: Matrix { rows: Arc::clone(rows), offsets, entries }, first })
     }
 
     /// Bytes that it holds.
     pub(crate) fn memory_bytes(&self) -> usize {
-        size_of_val(self.entries.as_slice()) + size_of_val(self.offsets.as_slice()) + self.first.len() * size_of::<V>()
-    }
-
-    /// T̂ x. Rows borrow paths of their neighbours: a few paths alone may all end where they came from, and a matrix
-    /// with such a cycle has far more light go round than there is.
-    fn apply(&self, x: &[V]) -> Vec<V> {
-        let mut means = self.mean_of_rows(|e| e.row, x);
-        for ends in self.rows.neighbours.windows(2) {
-            let rows = ends[0]..ends[1];
-            let paths = |row: usize| (self.offsets[row + 1] - self.offsets[row]) as f32;
-            let all = (self.offsets[rows.end] - self.offsets[rows.start]) as f32;
-            let mean = rows.clone().map(|row| means[row] * paths(row)).sum::<V>() / all;
-            for row in rows {
-                let own = paths(row);
-                means[row] = (means[row] * own + mean * BORROWED) / (own + BORROWED);
-            }
-        }
-        means
-    }
-
-    /// Per row: the mean over its paths of `values` where they end, `NONE` being nowhere.
-    fn mean_of_rows(&self, end: impl Fn(&Entry) -> u32 + Sync, values: &[V]) -> Vec<V> {
-        let of_row = |ends: &[usize]| -> V {
-            let entries = &self.entries[ends[0]..ends[1]];
-            let met = entries.iter().filter(|e| end(e) != NONE);
-            met.map(|e| values[end(e) as usize] * e.weight).sum::<V>() / entries.len() as f32
-        };
-        self.offsets.par_windows(2).with_min_len(256).map(of_row).collect()
-    }
-
-    /// `X = u + T̂ X`, per row: all bounces of a source whose first gather is `u`.
-    pub(crate) fn all_bounces(&self, first: &[V]) -> Vec<V> {
-        gmres::solve(|x| self.apply(x), first, TOLERANCE)
-    }
-
-    /// What is missing where a better gather of the same light differs from the solution by `residual`, per element
-    /// slot: `Σ_{j ≥ 1} Tʲ r`. Its first bounce is gathered at full resolution: the solution, interpolated from its
-    /// representatives, is off where there are none, in corners above all.
-    pub(crate) fn further_bounces(&self, residual: &[V]) -> Vec<V> {
-        let first = self.mean_of_rows(|e| e.element, residual);
-        self.all_bounces(&first)
+        let Matrix { offsets, entries, .. } = &self.matrix;
+        size_of_val(entries.as_slice()) + size_of_val(offsets.as_slice()) + self.first.len() * size_of::<V>()
     }
 
     /// Values of rows at all representatives; zero at those that are no rows.
     pub(crate) fn to_representatives(&self, subset: &Subset, values: &[V]) -> Vec<V> {
         let mut out = vec![V::default(); subset.slots.len()];
         for (row, value) in values.iter().enumerate() {
-            self.rows.members_of(row).iter().for_each(|&member| out[member as usize] = *value);
+            self.matrix.rows.members_of(row).iter().for_each(|&member| out[member as usize] = *value);
         }
         out
+    }
+}
+
+impl<V: Solvable> Exchange<V> {
+    /// `X = u + T̂ X`, per row: all bounces of a source whose first gather is `u`.
+    pub(crate) fn all_bounces(&self, first: &[V]) -> Vec<V> {
+        V::all_bounces(&self.matrix, first)
+    }
+
+    /// What is missing where a better gather of the same light differs from the solution by `residual`, per element
+    /// slot: `Σ_{j ≥ 1} Tʲ r`. Its first bounce is gathered at full resolution: the solution, interpolated from its
+    /// representatives, is off where there are none, in corners above all.
+    pub(crate) fn further_bounces(&self, residual: &[V]) -> Vec<V> {
+        let first = self.matrix.mean_of_rows(|e| e.element, residual);
+        self.all_bounces(&first)
     }
 }
 

@@ -6,7 +6,7 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::value::{Value, Wide};
+use crate::value::{Lockstep, Wide};
 
 /// Krylov vectors before a restart.
 const RESTART: usize = 24;
@@ -27,7 +27,7 @@ const fn chunk<V>() -> usize {
 const NARROW: usize = 16;
 
 /// Solves `x − T x = b` from `x = 0` until the residual is at most `tolerance` of `b` in every layer and channel.
-pub(super) fn solve<V: Value>(apply: impl Fn(&[V]) -> Vec<V>, b: &[V], tolerance: f64) -> Vec<V> {
+pub(super) fn solve<V: Lockstep>(apply: impl Fn(&[V]) -> Vec<V>, b: &[V], tolerance: f64) -> Vec<V> {
     let target = norm(b).map(|n| n * tolerance);
     let mut x = vec![V::default(); b.len()];
     let mut residual = b.to_vec();
@@ -46,13 +46,13 @@ pub(super) fn solve<V: Value>(apply: impl Fn(&[V]) -> Vec<V>, b: &[V], tolerance
     x
 }
 
-fn is_within<V: Value>(values: V::Wide, limits: V::Wide) -> bool {
+fn is_within<V: Lockstep>(values: V::Wide, limits: V::Wide) -> bool {
     values.all(limits, |v, limit| v.abs().cmple(limit).all())
 }
 
 /// One cycle: the weights of Krylov vectors that make the residual, whose norm is `beta`, least over their space.
 /// Orthogonalised as classical Gram-Schmidt does it, all vectors in one pass: the residual is computed anew in the end.
-fn cycle<V: Value>(
+fn cycle<V: Lockstep>(
     apply: &impl Fn(&[V]) -> Vec<V>,
     residual: Vec<V>,
     beta: V::Wide,
@@ -117,23 +117,23 @@ fn select_one(length: DVec3, c: DVec3) -> DVec3 {
     DVec3::select(length.cmpgt(DVec3::ZERO), c, DVec3::ONE)
 }
 
-fn zero<V: Value>() -> V::Wide {
+fn zero<V: Lockstep>() -> V::Wide {
     V::Wide::splat(DVec3::ZERO)
 }
 
 /// Σ a b of some elements.
-fn product<V: Value>(a: &[V], b: &[V]) -> V::Wide {
+fn product<V: Lockstep>(a: &[V], b: &[V]) -> V::Wide {
     let narrow = |(a, b): (&[V], &[V])| a.iter().zip(b).map(|(a, b)| a.times(*b)).sum::<V>();
     a.chunks(NARROW).zip(b.chunks(NARROW)).map(narrow).fold(zero::<V>(), |sum, products| sum.plus(products.wide()))
 }
 
-fn norm<V: Value>(a: &[V]) -> V::Wide {
+fn norm<V: Lockstep>(a: &[V]) -> V::Wide {
     let sums: Vec<V::Wide> = a.par_chunks(chunk::<V>()).map(|a| product(a, a)).collect();
     sums.into_iter().fold(zero::<V>(), Wide::plus).map(sqrt)
 }
 
 /// `w = v − w` with the last vector of the basis; the products of the result with all of them.
-fn subtract_and_project<V: Value>(basis: &[Vec<V>], w: &mut [V]) -> Vec<V::Wide> {
+fn subtract_and_project<V: Lockstep>(basis: &[Vec<V>], w: &mut [V]) -> Vec<V::Wide> {
     let (size, last) = (chunk::<V>(), &basis[basis.len() - 1]);
     let mut products = vec![zero::<V>(); basis.len() * w.len().div_ceil(size)];
     let chunks = w.par_chunks_mut(size).zip(products.par_chunks_mut(basis.len())).enumerate();
@@ -150,7 +150,7 @@ fn subtract_and_project<V: Value>(basis: &[Vec<V>], w: &mut [V]) -> Vec<V::Wide>
 }
 
 /// Takes from `w` what is along the basis; the norm of what is left.
-fn orthogonalise<V: Value>(w: &mut [V], along: &[V::Wide], basis: &[Vec<V>]) -> V::Wide {
+fn orthogonalise<V: Lockstep>(w: &mut [V], along: &[V::Wide], basis: &[Vec<V>]) -> V::Wide {
     let size = chunk::<V>();
     let along: Vec<V> = along.iter().map(|a| V::narrow(a.map(|a| -a))).collect();
     let sums: Vec<V::Wide> = (w.par_chunks_mut(size).enumerate())
@@ -163,20 +163,20 @@ fn orthogonalise<V: Value>(w: &mut [V], along: &[V::Wide], basis: &[Vec<V>]) -> 
 }
 
 /// `x += Σ weight v`.
-fn add_scaled<V: Value>(x: &mut [V], weights: &[V::Wide], basis: &[Vec<V>]) {
+fn add_scaled<V: Lockstep>(x: &mut [V], weights: &[V::Wide], basis: &[Vec<V>]) {
     let size = chunk::<V>();
     let weights: Vec<V> = weights.iter().map(|weight| V::narrow(*weight)).collect();
     x.par_chunks_mut(size).enumerate().for_each(|(chunk, x)| add_to_chunk(x, chunk * size, &weights, basis));
 }
 
 /// `x += Σ weight v` for the elements from `first` on.
-fn add_to_chunk<V: Value>(x: &mut [V], first: usize, weights: &[V], basis: &[Vec<V>]) {
+fn add_to_chunk<V: Lockstep>(x: &mut [V], first: usize, weights: &[V], basis: &[Vec<V>]) {
     for (weight, v) in weights.iter().zip(basis) {
         x.iter_mut().zip(&v[first..]).for_each(|(x, v)| *x += v.times(*weight));
     }
 }
 
-fn scale<V: Value>(v: &mut [V], by: V::Wide) {
+fn scale<V: Lockstep>(v: &mut [V], by: V::Wide) {
     let by = V::narrow(by);
     v.par_iter_mut().with_min_len(chunk::<V>()).for_each(|v| *v = v.times(by));
 }

@@ -50,6 +50,12 @@ impl Footprint {
         value(0) + value(1) + value(2)
     }
 
+    /// Calls `add` with each value and its weight.
+    #[inline]
+    pub(crate) fn for_each<V>(&self, values: &[V], mut add: impl FnMut(&V, f32)) {
+        self.slots_and_weights().for_each(|(slot, weight)| add(&values[slot as usize], weight));
+    }
+
     /// The slot that weighs most.
     #[inline]
     pub(crate) fn heaviest(&self) -> u32 {

@@ -54,7 +54,7 @@ impl DirectLight {
             }
             sum.add_to_layer(emitter.layer, light / count as f32);
         }
-        sum
+        sum.thinned()
     }
 }
 

@@ -1,5 +1,7 @@
 //! G: the mean of incoming radiance over cosine-distributed rays, per element.
 
+use glam::Vec3;
+
 use super::incoming::{Radiance, Source};
 use super::spots::From;
 use super::{Effort, End, Work};
@@ -66,7 +68,7 @@ pub(crate) fn gather_paths<V: Value>(
     source.add_landed(last.as_ref(), rng, rays, &mut sum);
     for k in 0..aims {
         let (slot, from) = begin(k);
-        sum += source.aimed(world, slot, from, aimed.get(k), ratio, rng, rays);
+        source.aimed(world, slot, from, aimed.get(k), (ratio, Vec3::ONE), rng, rays, &mut sum);
     }
-    sum / paths as f32
+    (sum / paths as f32).thinned()
 }

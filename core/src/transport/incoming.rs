@@ -13,12 +13,12 @@ use crate::world::{Emitter, World, sky};
 /// Directions drawn by the cosine for each one that is aimed at a spot.
 const COSINES_PER_AIM: u32 = 4;
 
-/// What a surface sends to a point: `f(receiver, surfel, near, rng, rays)`. The receiver is an element slot, or
-/// `u32::MAX` where an object has no elements; near surfaces are not to be looked up where their light can be had
-/// otherwise.
-pub(crate) trait Radiance<V>: Fn(u32, &Surfel, bool, &mut Pcg32, &mut u64) -> V + Sync {}
+/// Adds to light what a surface sends to a point, times a share: `f(receiver, surfel, near, share, rng, rays, light)`. The
+/// receiver is an element slot, or `u32::MAX` where an object has no elements; near surfaces are not to be looked up where
+/// their light can be had otherwise.
+pub(crate) trait Radiance<V>: Fn(u32, &Surfel, bool, Vec3, &mut Pcg32, &mut u64, &mut V) + Sync {}
 
-impl<V, F: Fn(u32, &Surfel, bool, &mut Pcg32, &mut u64) -> V + Sync> Radiance<V> for F {}
+impl<V, F: Fn(u32, &Surfel, bool, Vec3, &mut Pcg32, &mut u64, &mut V) + Sync> Radiance<V> for F {}
 
 /// What sends light.
 pub(crate) struct Source<'a, F, V> {
@@ -72,11 +72,12 @@ impl<V: Value, F: Radiance<V>> Source<'_, F, V> {
                 landed = Some(Landed { surfel: *surfel, weight: weight * share, receiver });
                 return;
             }
-            *light += (self.radiance)(receiver, surfel, near, rng, rays) * (weight * share);
+            (self.radiance)(receiver, surfel, near, weight * share, rng, rays, light);
             receiver = surfel.nearest_element();
             if ratio > 0.0 {
                 (from, ratio) = ((surfel.ray_origin(), surfel.normal), 1.0);
-                *light += self.aimed(world, receiver, from, rng.next_2d(), ratio, rng, rays) * (weight * surfel.albedo);
+                let (u, share) = (rng.next_2d(), weight * surfel.albedo);
+                self.aimed(world, receiver, from, u, (ratio, share), rng, rays, light);
             }
         });
         if let End::Escaped(weight, direction) = end {
@@ -89,11 +90,12 @@ impl<V: Value, F: Radiance<V>> Source<'_, F, V> {
     #[inline]
     pub(crate) fn add_landed(&self, landed: Option<&Landed>, rng: &mut Pcg32, rays: &mut u64, light: &mut V) {
         if let Some(&Landed { ref surfel, weight, receiver }) = landed {
-            *light += (self.radiance)(receiver, surfel, false, rng, rays) * weight;
+            (self.radiance)(receiver, surfel, false, weight, rng, rays, light);
         }
     }
 
-    /// What arrives from a spot that two numbers in [0, 1) choose, per direction drawn by the cosine.
+    /// Adds what arrives from a spot that two numbers in [0, 1) choose, per direction drawn by the cosine (of which there
+    /// are `ratio` times as many), times a share, to `light`.
     #[inline]
     #[expect(clippy::too_many_arguments, reason = "the inner loop of all gathers")]
     pub(crate) fn aimed(
@@ -102,25 +104,26 @@ impl<V: Value, F: Radiance<V>> Source<'_, F, V> {
         receiver: u32,
         from: From,
         u: [f32; 2],
-        ratio: f32,
+        (ratio, share): (f32, Vec3),
         rng: &mut Pcg32,
         rays: &mut u64,
-    ) -> V {
-        let Some(spots) = self.spots else { return V::default() };
-        let Some((direction, cell)) = spots.aim(from, u) else { return V::default() };
+        light: &mut V,
+    ) {
+        let Some(spots) = self.spots else { return };
+        let Some((direction, cell)) = spots.aim(from, u) else { return };
         *rays += 1;
         let ray = Ray { origin: from.0, direction, t_min: 0.0, t_max: f32::INFINITY };
         let mut left = Vec3::ONE;
-        let Some(hit) = world.trees.first_hit(&ray, &mut left) else { return V::default() };
+        let Some(hit) = world.trees.first_hit(&ray, &mut left) else { return };
         let Some(surfel) = Surfel::to_look_up(world, &ray, &hit, rays).filter(|surfel| surfel.cell == cell) else {
-            return V::default();
+            return;
         };
         match &surfel.footprint {
             Some(footprint) if !is_near(world, footprint, hit.t * hit.t) => {
-                let share = left * spots.share(world, from, &surfel, ratio);
-                (self.radiance)(receiver, &surfel, false, rng, rays) * share
+                let share = share * left * spots.share(world, from, &surfel, ratio);
+                (self.radiance)(receiver, &surfel, false, share, rng, rays, light);
             }
-            _ => V::default(),
+            _ => {}
         }
     }
 }

@@ -44,7 +44,11 @@ impl<V: Value> Field<'_, V> {
         let surfel = Surfel::to_look_up(world, &ray, &hit, rays)?;
         let is_far = |footprint| !is_near(world, footprint, hit.t * hit.t);
         let light = match surfel.footprint.as_ref().is_some_and(is_far) {
-            true => self.at(world, &surfel, false, rng, rays),
+            true => {
+                let mut light = V::default();
+                self.add_at(world, &surfel, false, Vec3::ONE, rng, rays, &mut light);
+                light
+            }
             false => self.sent_near(world, &surfel, rng, rays),
         };
         Some(Seen { reflected: light * (surfel.albedo * left), sky: V::default() })

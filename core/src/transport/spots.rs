@@ -278,7 +278,8 @@ mod tests {
                 source.add_landed(landed.as_ref(), &mut rng, &mut rays, &mut sum);
             }
             for _ in 0..aims {
-                sum += source.aimed(world, slot, from, rng.next_2d(), ratio, &mut rng, &mut rays);
+                let u = rng.next_2d();
+                source.aimed(world, slot, from, u, (ratio, Vec3::ONE), &mut rng, &mut rays, &mut sum);
             }
             f64::from(sum.x / samples as f32)
         };

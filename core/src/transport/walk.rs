@@ -147,24 +147,38 @@ impl Rough {
 }
 
 impl<V: Value> Field<'_, V> {
-    /// Light of a surface that a path met, irradiance / π. Near ones get one sample of direct light and nothing else:
-    /// the path goes on from there.
+    /// Adds light of a surface that a path met, irradiance / π, times a share. Near ones get one sample of direct light
+    /// and nothing else: the path goes on from there.
     #[inline]
-    pub(crate) fn at(&self, world: &World, surfel: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64) -> V {
-        let Some(footprint) = surfel.footprint.filter(|_| !near) else { return light_at(world, surfel, rng, rays) };
-        let total = footprint.interpolate(self.total);
+    #[expect(clippy::too_many_arguments, reason = "the inner loop of all gathers")]
+    pub(crate) fn add_at(
+        &self,
+        world: &World,
+        surfel: &Surfel,
+        near: bool,
+        share: Vec3,
+        rng: &mut Pcg32,
+        rays: &mut u64,
+        light: &mut V,
+    ) {
+        let Some(footprint) = surfel.footprint.filter(|_| !near) else {
+            *light += light_at::<V>(world, surfel, rng, rays) * share;
+            return;
+        };
+        footprint.for_each(self.total, |value, weight| light.add_scaled(value, share * weight));
         if self.rough.contains(surfel.cell) {
-            let indirect = total - footprint.interpolate(self.direct);
-            return indirect + light_at(world, surfel, rng, rays) + sky_at(world, surfel, rng, rays);
+            footprint.for_each(self.direct, |value, weight| light.add_scaled(value, -share * weight));
+            let sampled = light_at::<V>(world, surfel, rng, rays) + sky_at::<V>(world, surfel, rng, rays);
+            *light += sampled * share;
         }
-        total
     }
 
     /// Reflected light and the sky. What lights send straight to a point is not in it.
     pub(crate) fn source<'a>(&'a self, world: &'a World, spots: Option<&'a Spots>) -> Source<'a, impl Radiance<V>, V> {
-        let radiance = move |_: u32, surfel: &Surfel, near: bool, rng: &mut Pcg32, rays: &mut u64| {
-            self.at(world, surfel, near, rng, rays) * surfel.albedo
-        };
+        let radiance =
+            move |_: u32, surfel: &Surfel, near: bool, share: Vec3, rng: &mut Pcg32, rays: &mut u64, light: &mut V| {
+                self.add_at(world, surfel, near, share * surfel.albedo, rng, rays, light);
+            };
         Source { radiance, looked_up: self.total, skies: &world.emitters.skies, spots }
     }
 }

@@ -254,8 +254,8 @@ mod tests {
         paths: Paths,
         seed: u64,
     ) -> Exchange<Vec3> {
-        let radiance = |_: u32, s: &Surfel, _: bool, _: &mut Pcg32, _: &mut u64| {
-            s.footprint.map_or(Vec3::ZERO, |footprint| footprint.interpolate(change) * s.albedo)
+        let radiance = |_: u32, s: &Surfel, _: bool, share: Vec3, _: &mut Pcg32, _: &mut u64, light: &mut Vec3| {
+            *light += s.footprint.map_or(Vec3::ZERO, |footprint| footprint.interpolate(change) * s.albedo) * share;
         };
         let source = Source { radiance, looked_up: change, skies: &[], spots: None };
         Exchange::trace(world, subset, rows, &source, paths, PartSeed::whole(seed), &Work::new(&Unobserved))

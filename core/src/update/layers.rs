@@ -12,15 +12,15 @@ use crate::bake::bake_layers;
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer, Pass, Progress, Snapshot};
 use crate::layers::{
-    Apart, Computed, Layer, LayerHeader, Old, Pieces, Plan, correlation, is_new, renamed, wants_layers, weights_of,
-    weights_within, whole, whole_with,
+    Apart, Computed, Layer, LayerHeader, Old, Piece, Pieces, Plan, at_strength_of, correlation, is_new, renamed,
+    thinned, wants_layers, weight_of, weights_of, weights_within, whole, whole_of, whole_with,
 };
-use crate::lightmap::{LightMap, LightValues};
+use crate::lightmap::{AnyLight, LightMap, SparseLight};
 use crate::random::subseed;
 use crate::rounds::Goal;
+use crate::solve::Solvable;
 use crate::transport::Work;
-use crate::value::Value;
-use crate::value::with_layers;
+use crate::value::{SIDE_BY_SIDE, with_layers};
 use crate::world::{Transition, World};
 
 /// Brings a map with layers up to date, or gives a map layers; none where the edit has no need of any.
@@ -35,10 +35,14 @@ pub(crate) fn update_layers(
         return None;
     }
     let plan = Plan::new(before, after, map);
-    let headers: Vec<LayerHeader> = plan.after.iter().map(|(header, _)| header.clone()).collect();
-    let weights = weights_of(&headers, after);
-    let correlation = correlation(map, &map.layer_weights(before));
-    Some(LayersUpdate { transition, map, goal, work, plan, weights, correlation }.run())
+    // What is carried where it matters only is compared with all light there: at present strength.
+    let needs_all = transition.changes_surfaces() || plan.changed.len() > SIDE_BY_SIDE;
+    if needs_all && map.rest().is_some() {
+        let map = map.at_strength_of(after);
+        let plan = Plan::new(before, after, &map);
+        return Some(LayersUpdate::new(transition, &map, goal, work, plan, needs_all).run());
+    }
+    Some(LayersUpdate::new(transition, map, goal, work, plan, needs_all).run())
 }
 
 /// Samples per element, at most, of a stage before the last.
@@ -47,20 +51,40 @@ const QUIET_SAMPLES: u32 = 64;
 /// A map of all that is known once lights have left their layers, and the light of those lights.
 type Left = (Arc<LightMap>, Vec<Arc<Layer>>);
 
-struct LayersUpdate<'a> {
-    transition: &'a Transition,
-    map: &'a LightMap,
-    goal: &'a Goal<'a>,
-    work: &'a Work<'a>,
-    plan: Plan,
+pub(super) struct LayersUpdate<'a> {
+    pub(super) transition: &'a Transition,
+    pub(super) map: &'a LightMap,
+    pub(super) goal: &'a Goal<'a>,
+    pub(super) work: &'a Work<'a>,
+    pub(super) plan: Plan,
     /// What the layers after the edit weigh.
-    weights: Vec<Vec3>,
+    pub(super) weights: Vec<Vec3>,
     /// What the errors of the old layers have in common.
     correlation: f64,
+    /// Rays are needed for all layers.
+    needs_all: bool,
 }
 
-impl LayersUpdate<'_> {
+impl<'a> LayersUpdate<'a> {
+    fn new(
+        transition: &'a Transition,
+        map: &'a LightMap,
+        goal: &'a Goal<'a>,
+        work: &'a Work<'a>,
+        plan: Plan,
+        needs_all: bool,
+    ) -> LayersUpdate<'a> {
+        let headers: Vec<LayerHeader> = plan.after.iter().map(|(header, _)| header.clone()).collect();
+        let weights = weights_of(&headers, &transition.after.scene);
+        let correlation = correlation(map, &map.layer_weights(&transition.before.scene));
+        LayersUpdate { transition, map, goal, work, plan, weights, correlation, needs_all }
+    }
+
     fn run(&self) -> Result<Option<Updated>, Canceled> {
+        let gets_rest = self.map.rest().is_none() && self.plan.after.len() > SIDE_BY_SIDE;
+        if self.plan.leaving.len() > SIDE_BY_SIDE || gets_rest && self.needs_all {
+            return self.bake_anew();
+        }
         let changed = self.changed();
         let mut leaving = Vec::new();
         if !self.plan.leaving.is_empty() {
@@ -72,11 +96,29 @@ impl LayersUpdate<'_> {
         }
         let regrouped = self.pieces(&leaving).regroup();
         if changed.is_empty() {
-            let map = Arc::new(whole(self.unchanged(&regrouped), &self.weights, self.correlation));
+            let (before, after) = (&self.transition.before.scene, &self.transition.after.scene);
+            let layers = thinned(self.unchanged(&regrouped), |_| gets_rest, after);
+            let map = Arc::new(whole_of(layers, self.map, before, after));
             announce(&map, &self.transition.after, self.work.observer());
             return Ok(Some(Updated { map, baked: false }));
         }
+        if self.needs_all && self.map.rest().is_some() {
+            let near = self.near_lamps(&regrouped);
+            return near.map_or_else(|| self.bake_anew(), |near| self.compute_near(&near, &regrouped));
+        }
         self.compute_changed(&changed, &regrouped)
+    }
+
+    /// A bake of all layers: where most of them would be computed one after the other, it is less work.
+    pub(super) fn bake_anew(&self) -> Result<Option<Updated>, Canceled> {
+        let Transition { after, .. } = self.transition;
+        let headers: Vec<LayerHeader> = self.plan.after.iter().map(|(header, _)| header.clone()).collect();
+        let is_many = headers.len() > SIDE_BY_SIDE;
+        let headers = if is_many { at_strength_of(&headers, &after.scene) } else { headers };
+        let weights = weights_of(&headers, &after.scene);
+        let finish = |computed: Computed| computed.into_map(&weights);
+        let map = bake_layers(after, &headers, &finish, self.goal, self.work)?;
+        Ok(map.map(|map| Updated { map, baked: true }))
     }
 
     fn pieces<'p>(&'p self, leaving: &'p [Arc<Layer>]) -> Pieces<'p> {
@@ -85,7 +127,7 @@ impl LayersUpdate<'_> {
 
     /// Positions in `plan.after` of the layers that rays are needed for.
     fn changed(&self) -> Vec<usize> {
-        match self.transition.changes_surfaces() {
+        match self.needs_all {
             true => (0..self.plan.after.len()).collect(),
             false => self.plan.changed.clone(),
         }
@@ -97,10 +139,12 @@ impl LayersUpdate<'_> {
         let last = RefCell::new(Vec::new());
         let finish = |computed: Computed| {
             let pieces = self.pieces(&computed.layers);
-            let layers = self.unchanged(&pieces.regroup());
+            let is_new = |k: usize| self.map.rest().is_none() || !self.is_as_before(k);
+            let layers = thinned(self.unchanged(&pieces.regroup()), is_new, &self.transition.after.scene);
             let variance = pieces.variance(&self.weights, self.correlation);
             last.replace(computed.layers);
-            whole_with(layers, &self.weights, variance)
+            let weights = self.weights_of(&layers);
+            whole_with(layers, &weights, variance)
         };
         let quiet = Quiet(self.work.observer());
         let quiet = Work::new(&quiet);
@@ -122,6 +166,18 @@ impl LayersUpdate<'_> {
         Ok(map.map(|map| (map, last.take())))
     }
 
+    /// What layers weigh after the edit: those that were thinned are at present strength.
+    pub(super) fn weights_of(&self, layers: &[Arc<Layer>]) -> Vec<Vec3> {
+        let weight = |layer: &Arc<Layer>| weight_of(&layer.lights, &self.transition.after.scene).unwrap_or(Vec3::ONE);
+        layers.iter().map(weight).collect()
+    }
+
+    /// Whether a layer of the new map is one of the old.
+    fn is_as_before(&self, place: usize) -> bool {
+        let pieces = self.plan.after[place].1.map(|index| &*self.plan.regrouped[index].pieces);
+        matches!(pieces, Some([(Piece::Old(_), Vec3::ONE)]))
+    }
+
     /// Layers of the new map that need no ray, with their new headers.
     fn unchanged(&self, regrouped: &[Arc<Layer>]) -> Vec<Arc<Layer>> {
         let layer = |(header, origin): &(LayerHeader, Option<usize>)| Some(renamed(&regrouped[(*origin)?], header));
@@ -138,9 +194,12 @@ impl LayersUpdate<'_> {
         let finish = |computed: Computed| {
             let mut new = computed.layers.into_iter();
             let layers: Vec<Arc<Layer>> = kept.iter().filter_map(|k| k.clone().or_else(|| new.next())).collect();
+            let is_new = |k: usize| self.map.rest().is_none() || changed.contains(&k);
+            let layers = thinned(layers, is_new, &self.transition.after.scene);
+            let weights = self.weights_of(&layers);
             match computed.variance.filter(|_| changed.len() == self.plan.after.len()) {
-                Some(variance) => whole_with(layers, &self.weights, variance),
-                None => whole(layers, &self.weights, self.correlation),
+                Some(variance) => whole_with(layers, &weights, variance),
+                None => whole(layers, &weights, self.correlation),
             }
         };
         let headers: Vec<LayerHeader> = changed.iter().map(|&k| self.plan.after[k].0.clone()).collect();
@@ -161,7 +220,7 @@ impl LayersUpdate<'_> {
             after: after.only_layers(&headers, &own),
             ..self.transition.clone()
         };
-        let black = || Arc::new(Layer { light: LightValues::black(before.slots()), ..Layer::default() });
+        let black = || Arc::new(Layer { light: SparseLight::black(before.slots()), ..Layer::default() });
         let old = origins.into_iter().map(|origin| origin.map_or_else(black, |index| regrouped[index].clone()));
         let guides = stage.after.guides(&own);
         let change = Change { transition: &stage, headers, weights: own, guides, old: old.collect() };
@@ -170,22 +229,26 @@ impl LayersUpdate<'_> {
 }
 
 /// Layers that an edit changes.
-struct Change<'a> {
+pub(super) struct Change<'a> {
     /// With the lights of these layers only.
-    transition: &'a Transition,
-    headers: Vec<LayerHeader>,
-    weights: Vec<Vec3>,
-    guides: Vec<Vec3>,
+    pub(super) transition: &'a Transition,
+    pub(super) headers: Vec<LayerHeader>,
+    pub(super) weights: Vec<Vec3>,
+    pub(super) guides: Vec<Vec3>,
     /// Before the edit, in its slots.
-    old: Vec<Arc<Layer>>,
+    pub(super) old: Vec<Arc<Layer>>,
 }
 
 impl Change<'_> {
     /// All light of a slot before the edit, these layers as they matter. A single layer has its own scale, and so has this.
     fn around(&self, map: &LightMap, slot: usize) -> Vec3 {
-        let own = |layer: &Layer| layer.light.direct[slot] + layer.light.indirect[slot];
+        let own = |layer: &Layer| {
+            let (direct, indirect) = layer.light.at(slot);
+            direct + indirect
+        };
         let factors = self.guides.iter().zip(&self.weights).map(|(guide, weight)| *guide - *weight);
-        let more = self.old.iter().zip(factors).map(|(layer, factor)| own(layer) * factor);
+        let more = self.old.iter().zip(factors).filter(|(_, factor)| *factor != Vec3::ZERO);
+        let more = more.map(|(layer, factor)| own(layer) * factor);
         let around = map.total(slot) + more.sum::<Vec3>();
         match (&*self.old, &*self.guides) {
             ([layer], [scale]) => Vec3::select(scale.cmpgt(Vec3::ZERO), around / *scale, own(layer)),
@@ -195,7 +258,7 @@ impl Change<'_> {
 }
 
 /// `map` is the whole map before the edit.
-fn run_change<V: Value>(
+pub(super) fn run_change<V: Solvable>(
     change: &Change,
     transition: &Transition,
     map: &LightMap,
@@ -205,7 +268,7 @@ fn run_change<V: Value>(
 ) -> Result<Option<Updated>, Canceled> {
     let around: Vec<Vec3> = (0..map.len()).into_par_iter().map(|slot| change.around(map, slot)).collect();
     let around = transition.carry(&around);
-    let parts = change.old.iter().map(|layer| &layer.light).collect();
+    let parts = change.old.iter().map(|layer| AnyLight::Sparse(&layer.light)).collect();
     let stage = Stage {
         transition: change.transition,
         old: Old::new(parts, &map.light.variance, change.transition),

@@ -12,9 +12,8 @@ use crate::job::Canceled;
 use crate::lightmap::LightValues;
 use crate::random::subseed;
 use crate::rounds::{Estimator, First, Goal, Phase, Round};
-use crate::solve::Rows;
+use crate::solve::{Rows, Solvable};
 use crate::transport::Work;
-use crate::value::Value;
 
 /// Samples of what is not looked at, where that is nearly everything.
 const UNSEEN_SAMPLES: u32 = 2;
@@ -30,7 +29,7 @@ pub(super) struct Known<V> {
     pub bounces: Arc<[V]>,
 }
 
-impl<V: Value> Known<V> {
+impl<V: Solvable> Known<V> {
     /// What is known around slots that somebody looks at.
     pub(super) fn around(mut self, is_seen: &[bool]) -> Known<V> {
         self.parts = self.parts.without(is_seen);
@@ -49,7 +48,7 @@ pub(super) struct Look<'a, V> {
     is_large: bool,
 }
 
-impl<V: Value> Estimator<V> for Look<'_, V> {
+impl<V: Solvable> Estimator<V> for Look<'_, V> {
     type Prior = (Prior<V>, Known<V>);
 
     /// Estimates everything; element by element where somebody looks and that is much, which is an estimate, too.
@@ -102,7 +101,7 @@ impl<V: Value> Estimator<V> for Look<'_, V> {
 /// What came first, and what the rounds of the whole go by once there was a round of it.
 pub(super) type Ahead<V> = (Option<First<V>>, Option<Prior<V>>);
 
-impl<V: Value> Updater<'_, V> {
+impl<V: Solvable> Updater<'_, V> {
     /// Brings up to date what comes first; none where that is nothing.
     pub(super) fn come_first(&self, goal: &Goal, work: &Work) -> Result<Ahead<V>, Canceled> {
         let (first, prior) = match (goal.importance.one_by_one(), goal.focus()) {

@@ -15,6 +15,7 @@ mod direct;
 mod extent;
 mod layers;
 mod look_first;
+mod near_lamps;
 mod new_slots;
 mod places;
 mod propagate;
@@ -33,12 +34,12 @@ use crate::bake::{self, Baker};
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer};
 use crate::layers::{Apart, Old};
-use crate::lightmap::{LightMap, LightValues};
+use crate::lightmap::{AnyLight, LightMap, LightValues};
 use crate::random::subseed;
 use crate::refine::refine_with;
 use crate::rounds::{Estimator, Goal, Phase, Round};
+use crate::solve::Solvable;
 use crate::transport::Work;
-use crate::value::Value;
 use crate::world::Transition;
 
 /// Part of the old map's variance below which that of the change is not seen: more samples of it would not show.
@@ -96,7 +97,7 @@ fn update_whole(
     goal: &Goal,
     work: &Work,
 ) -> Result<Option<Updated>, Canceled> {
-    let (old, finish) = (Old::new(vec![&map.light], &map.light.variance, transition), Apart::into_map);
+    let (old, finish) = (Old::new(vec![AnyLight::Dense(&map.light)], &map.light.variance, transition), Apart::into_map);
     let (weights, guides) = (&[Vec3::ONE], &[Vec3::ONE]);
     let stage = Stage { transition, old, weights, guides, around: None, finish: &finish };
     run_stage::<Vec3>(&stage, goal, work)
@@ -120,7 +121,7 @@ pub(crate) struct Stage<'a> {
 }
 
 /// Runs a stage to its goal; none where the observer planned no round.
-pub(crate) fn run_stage<V: Value>(stage: &Stage, goal: &Goal, work: &Work) -> Result<Option<Updated>, Canceled> {
+pub(crate) fn run_stage<V: Solvable>(stage: &Stage, goal: &Goal, work: &Work) -> Result<Option<Updated>, Canceled> {
     let world = &stage.transition.after;
     let (weights, finish) = (stage.weights, stage.finish);
     let updater = Updater::<V>::new(stage, work);
@@ -162,7 +163,7 @@ enum StagePrior<V> {
     Bake(Box<Baker>, bake::Prior),
 }
 
-impl<V: Value> Estimator<V> for StageRounds<'_, V> {
+impl<V: Solvable> Estimator<V> for StageRounds<'_, V> {
     type Prior = StagePrior<V>;
 
     fn first_round(

@@ -6,10 +6,9 @@ use super::updater::Updater;
 use crate::job::Canceled;
 use crate::random::{PartSeed, subseed};
 use crate::rounds::Round;
-use crate::solve::{Exchange, Paths, Rows};
+use crate::solve::{Exchange, Paths, Rows, Solvable};
 use crate::transport::direct::direct_of;
 use crate::transport::{Effort, Field, Rough, Spots, gather};
-use crate::value::Value;
 
 /// Samples of new slots per sample of the others: they have no old map to lean on.
 const NEW_SLOT_SAMPLES: u32 = 4;
@@ -17,7 +16,7 @@ const NEW_SLOT_SAMPLES: u32 = 4;
 /// Samples of the solve among the new slots themselves.
 const SELF_SAMPLES: u32 = 32;
 
-impl<V: Value> Updater<'_, V> {
+impl<V: Solvable> Updater<'_, V> {
     /// Direct light of new slots, written over their slots.
     pub(super) fn direct_of_new_slots(&self, round: &Round, slots: &[u32], direct: &mut [V]) -> Result<(), Canceled> {
         let (samples, seed) = (round.samples * NEW_SLOT_SAMPLES, subseed(round.seed, 0xd0));

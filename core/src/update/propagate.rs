@@ -11,10 +11,9 @@ use crate::job::{Canceled, Pass};
 use crate::lightmap::LightValues;
 use crate::random::{PartSeed, Pcg32, subseed};
 use crate::rounds::Round;
-use crate::solve::{Exchange, Paths, Rows};
+use crate::solve::{Exchange, Paths, Rows, Solvable};
 use crate::space::Patch;
 use crate::transport::{Effort, Radiance, Source, Spots, Surfel, gather};
-use crate::value::Value;
 use crate::world::World;
 
 /// Samples of the propagation per representative and round: at least, at most.
@@ -46,7 +45,7 @@ pub(super) struct Change<'a, V> {
     amounts: Vec<f32>,
 }
 
-impl<V: Value> Change<'_, V> {
+impl<V: Solvable> Change<'_, V> {
     /// Reflected change; with that of some bounces, where they are known.
     fn source<'s>(
         &'s self,
@@ -54,8 +53,14 @@ impl<V: Value> Change<'_, V> {
         spots: Option<&'s Spots>,
     ) -> Source<'s, impl Radiance<V> + 's, V> {
         Source {
-            radiance: move |slot: u32, s: &Surfel, near: bool, _: &mut Pcg32, _: &mut u64| {
-                self.radiance(bounces, slot, s, near)
+            radiance: move |slot: u32,
+                            s: &Surfel,
+                            near: bool,
+                            share: Vec3,
+                            _: &mut Pcg32,
+                            _: &mut u64,
+                            light: &mut V| {
+                self.add_radiance(bounces, slot, s, near, share, light);
             },
             looked_up: &self.seen_by_old,
             skies: &[],
@@ -66,24 +71,25 @@ impl<V: Value> Change<'_, V> {
     /// Near surfaces are looked up too: the change has no other estimate there. Its bounces are not. New slots have
     /// gone on from near surfaces through the new scene when they were gathered.
     #[inline]
-    fn radiance(&self, bounces: Option<&[V]>, slot: u32, s: &Surfel, near: bool) -> V {
-        let Some(footprint) = s.footprint else { return V::default() };
-        let bounced = match bounces {
-            Some(bounces) if !near => footprint.interpolate(bounces) * s.albedo,
-            _ => V::default(),
+    fn add_radiance(&self, bounces: Option<&[V]>, slot: u32, s: &Surfel, near: bool, share: Vec3, light: &mut V) {
+        let Some(footprint) = s.footprint else { return };
+        let mut add = |values: &[V], by: Vec3| {
+            footprint.for_each(values, |value, weight| light.add_scaled(value, by * weight));
         };
+        let by = share * s.albedo;
+        bounces.filter(|_| !near).into_iter().for_each(|bounces| add(bounces, by));
         if self.is_new.get(slot as usize).copied().unwrap_or(false) {
-            return if near { bounced } else { bounced + footprint.interpolate(&self.seen_by_new) * s.albedo };
+            if !near {
+                add(&self.seen_by_new, by);
+            }
+            return;
         }
-        let change = bounced + footprint.interpolate(&self.seen_by_old) * s.albedo;
-        match self.repainted {
-            Some((repaint, light)) => change + footprint.interpolate(light) * repaint[s.part as usize],
-            None => change,
-        }
+        add(&self.seen_by_old, by);
+        self.repainted.into_iter().for_each(|(repaint, light)| add(light, share * repaint[s.part as usize]));
     }
 }
 
-impl<V: Value> Change<'_, V> {
+impl<V: Solvable> Change<'_, V> {
     /// How much the light has changed that leaves an element, over a usual albedo, mean over RGB.
     fn amounts_of(&self, world: &World, guides: &[Vec3]) -> Vec<f32> {
         let amount = |light: Vec3| light.abs().element_sum() / 3.0;
@@ -110,7 +116,7 @@ impl<V: Value> Change<'_, V> {
     }
 }
 
-impl<V: Value> Updater<'_, V> {
+impl<V: Solvable> Updater<'_, V> {
     /// X = Σ_k u_k. Where X is `known` roughly, only what some rows gather of it is computed anew, and the answer is of
     /// use for them only. Elements `near` the edit gather it themselves: interpolation is off in corners, where there
     /// are no representatives, and after many edits that adds up (a crate that was inserted and removed fifty times:

@@ -13,14 +13,14 @@ use crate::job::{Canceled, Pass, Progress, Snapshot};
 use crate::layers::Stack;
 use crate::random::subseed;
 use crate::rounds::{First, Goal, Phase, Round, Rounds};
+use crate::solve::Solvable;
 use crate::tiles::{ChangedSphere, cut};
 use crate::transport::Work;
-use crate::value::Value;
 
 /// Part of the largest bound below which a change is not worth a tile of its own where nobody says what he looks at.
 const NEGLIGIBLE: f32 = 0.01;
 
-impl<V: Value> Updater<'_, V> {
+impl<V: Solvable> Updater<'_, V> {
     /// Brings what comes first up to date, one tile after the other, and shows each; none where there is no such tile.
     pub(super) fn tile_by_tile(
         &self,

@@ -14,9 +14,8 @@ use crate::job::{Canceled, Pass};
 use crate::layers::{Apart, Stack};
 use crate::lightmap::{LightMap, LightValues};
 use crate::rounds::{First, Round};
-use crate::solve::{Rows, Subset};
+use crate::solve::{Rows, Solvable, Subset};
 use crate::transport::{Spots, Work};
-use crate::value::Value;
 use crate::world::{Transition, World};
 
 /// Slots per task.
@@ -73,7 +72,7 @@ pub(super) struct Guide {
     pub aims: Aims,
 }
 
-impl<'a, V: Value> Updater<'a, V> {
+impl<'a, V: Solvable> Updater<'a, V> {
     pub(super) fn new(stage: &'a Stage<'a>, work: &'a Work<'a>) -> Updater<'a, V> {
         let transition = stage.transition;
         let world = &transition.after;

@@ -7,7 +7,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::{Placed, Trees, World, build};
-use crate::lightmap::{Layer, LightMap, LightValues};
+use crate::lightmap::{BLOCK_SLOTS, Layer, LightBlock, LightMap, LightValues, SparseLight};
 use crate::space::{NO_OBJECT, Part};
 
 /// Slots per task.
@@ -52,12 +52,34 @@ impl Transition {
             indirect: self.carry(&light.indirect),
             variance: self.carry(&light.variance),
         };
-        let layer = |layer: &Arc<Layer>| {
-            let (name, lights) = (layer.name.clone(), layer.lights.clone());
-            Arc::new(Layer { name, lights, light: carry(&layer.light) })
-        };
-        let layers = if self.keeps_slots() { map.layers.clone() } else { map.layers.iter().map(layer).collect() };
+        let layers = map.layers.iter().map(|layer| self.carried_layer(layer)).collect();
         LightMap { light: carry(&map.light), layers }
+    }
+
+    /// A layer in the slots of the new world; itself where every slot keeps its element.
+    pub(crate) fn carried_layer(&self, layer: &Arc<Layer>) -> Arc<Layer> {
+        if self.keeps_slots() {
+            return Arc::clone(layer);
+        }
+        let (name, lights) = (layer.name.clone(), layer.lights.clone());
+        Arc::new(Layer { name, lights, light: self.carry_layer(&layer.light) })
+    }
+
+    /// The light of a layer in the slots of the new world.
+    fn carry_layer(&self, light: &SparseLight) -> SparseLight {
+        let slots = self.after.slots();
+        let carried = |(index, block): (usize, LightBlock)| {
+            let own = index * BLOCK_SLOTS..slots.min((index + 1) * BLOCK_SLOTS);
+            let mut values = LightValues::black(own.len());
+            let stays = |k: &usize| self.keeps(own.start + k);
+            for k in (0..block.direct.len().min(own.len())).filter(stays) {
+                (values.direct[k], values.indirect[k]) = (block.direct[k], block.indirect[k]);
+                values.variance[k] = block.variance[k];
+            }
+            (index, values)
+        };
+        let blocks: Vec<(usize, LightValues)> = light.blocks().map(carried).collect();
+        SparseLight::of_blocks(slots, blocks.iter().map(|(index, values)| (*index, values.block(0))))
     }
 
     /// The map of [`Transition::carry_over`]: the old one itself where every slot keeps its element, as by edits of
@@ -116,6 +138,11 @@ impl Transition {
     /// Boxes around every object that was inserted, removed or moved, where it was and where it is.
     pub(crate) fn changed_bounds(&self) -> Vec<(Vec3, Vec3)> {
         self.changed_objects().into_iter().map(|p| p.surface.bounds()).collect()
+    }
+
+    /// Keys of every object that was inserted, removed or moved.
+    pub(crate) fn changed_keys(&self) -> Vec<u32> {
+        self.changed_objects().into_iter().map(|placed| placed.key).collect()
     }
 
     fn changed_objects(&self) -> Vec<&Placed> {

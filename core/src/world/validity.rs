@@ -2,7 +2,7 @@
 //! cuts most of their cells off. They take the values of neighbours.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::ops::Range;
+use std::ops::{Add, Div, Range};
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -204,11 +204,14 @@ impl Validity {
         slot
     }
 
-    /// Gives invalid slots the values of their neighbours.
-    pub(crate) fn fill<V: Value>(&self, values: &mut [V]) {
+    /// Gives invalid slots the means of their neighbours' values.
+    pub(crate) fn fill<T>(&self, values: &mut [T])
+    where
+        T: Copy + Default + Add<Output = T> + Div<f32, Output = T>,
+    {
         for fill in self.objects.iter().flat_map(|object| &object.fills.list) {
-            let sum: V = fill.sources.iter().map(|&s| values[s as usize]).sum();
-            values[fill.target as usize] = sum / fill.sources.len() as f32;
+            let sources = fill.sources.iter().map(|&s| values[s as usize]);
+            values[fill.target as usize] = sources.fold(T::default(), T::add) / fill.sources.len() as f32;
         }
     }
 
@@ -216,17 +219,7 @@ impl Validity {
     pub(crate) fn fill_light<V: Value>(&self, light: &mut LightValues<V>) {
         self.fill(&mut light.direct);
         self.fill(&mut light.indirect);
-        self.fill_scalars(&mut light.variance, 1);
-    }
-
-    /// Gives invalid slots the means of their neighbours' scalars, of which every slot has `per_slot` side by side.
-    pub(crate) fn fill_scalars(&self, values: &mut [f32], per_slot: usize) {
-        for fill in self.objects.iter().flat_map(|object| &object.fills.list) {
-            for k in 0..per_slot {
-                let sum: f32 = fill.sources.iter().map(|&s| values[s as usize * per_slot + k]).sum();
-                values[fill.target as usize * per_slot + k] = sum / fill.sources.len() as f32;
-            }
-        }
+        self.fill(&mut light.variance);
     }
 }
 

@@ -173,7 +173,7 @@ pub struct MoveLight {
 }
 
 /// Lets lights share a layer of the light map: relighting all of them alike needs no rays, and costs the memory of one
-/// layer. A scene has at most 15 such groups.
+/// layer. A scene has at most 1022 such groups.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct GroupLights {

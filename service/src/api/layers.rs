@@ -10,7 +10,7 @@ use super::checks::check_group;
 use super::problem::{ApiResult, Kind, Problem};
 use super::types;
 use super::uploads::memory_problem;
-use crate::engine::{Edit, MAX_GROUPS, MAX_LAYERS, SHARED_LAYER, Scene, World};
+use crate::engine::{Edit, MAX_GROUPS, SHARED_LAYER, SIDE_BY_SIDE, Scene, World};
 use crate::memory::Promise;
 use crate::state::App;
 use crate::store::layers::{LAYER_BYTES, PublishedLayer};
@@ -92,11 +92,11 @@ impl Wanted {
     }
 }
 
-/// Layers that a bake of so grouped lights makes.
+/// Layers that a bake of so grouped lights keeps light of at a place, at most.
 pub(super) fn count(scene: &Scene, groups: &BTreeMap<String, String>) -> usize {
     let names: BTreeSet<&String> = groups.values().collect();
     let shares = !groups.is_empty() && scene.lights.iter().any(|light| !groups.contains_key(&light.name));
-    names.len() + usize::from(shares)
+    at_a_place(names.len() + usize::from(shares))
 }
 
 /// An object in which no name comes twice.
@@ -205,7 +205,7 @@ pub(super) fn room_for<'a>(app: &'a App, scene: &SceneEntry, after: &World, edit
     Ok(Room { expected, _promise: promise.map_err(|full| memory_problem("scene with its layers", full))? })
 }
 
-/// Layers that the map will have, at most, once all that was accepted and `edits` are lit.
+/// Layers that the map will have at a place, at most, once all that was accepted and `edits` are lit.
 fn expected(scene: &SceneEntry, published: &Published, after: &Scene, edits: &[Edit]) -> usize {
     let mut names: BTreeSet<&str> = published.layers.iter().map(|layer| layer.layer.name.as_str()).collect();
     names.extend(after.groups.values().map(String::as_str));
@@ -231,7 +231,13 @@ fn expected(scene: &SceneEntry, published: &Published, after: &Scene, edits: &[E
     if published.layers.is_empty() && after.lights.len() > names.len() {
         names.insert(SHARED_LAYER);
     }
-    names.len().min(MAX_LAYERS)
+    at_a_place(names.len())
+}
+
+/// Of so many layers, those that light is kept of at a place, at most.
+fn at_a_place(layers: usize) -> usize {
+    // Of more than are carried side by side as many at most, of direct and of indirect light, and the rest.
+    if layers > SIDE_BY_SIDE { SIDE_BY_SIDE + 1 } else { layers }
 }
 
 #[cfg(test)]
@@ -244,7 +250,7 @@ mod tests {
         assert_eq!((parse("shared"), parse("each")), (Ok(Wanted::Shared), Ok(Wanted::Each)));
         let Ok(Wanted::Groups(groups)) = parse(r#"{"ceiling": ["a", "b"]}"#) else { panic!() };
         assert_eq!(groups["ceiling"], ["a", "b"]);
-        let many: Vec<String> = (0..16).map(|i| format!("\"{i}\": [\"a\"]")).collect();
+        let many: Vec<String> = (0..=MAX_GROUPS).map(|i| format!("\"{i}\": [\"a\"]")).collect();
         let many = format!("{{{}}}", many.join(","));
         for text in [
             "",

@@ -81,8 +81,8 @@ pub(super) struct CreateQuery {
     #[serde(rename = "directional")]
     _directional: Option<bool>,
     /// Which lights have layers of their own in the light map, so that relighting them needs no rays: `shared` (none,
-    /// the default; lights that are relit get one then), `each` (every light; at most 15), or a JSON object of layers
-    /// with their lights (at most 15; the other lights share one more).
+    /// the default; lights that are relit get one then), `each` (every light; at most 1022), or a JSON object of layers
+    /// with their lights (at most 1022; the other lights share one more).
     #[param(example = "{\"ceiling\": [\"lamp-1\", \"lamp-2\"]}")]
     layers: Option<String>,
     /// Start a bake at once; `true` where absent.

@@ -1,8 +1,10 @@
 //! What leaves as bytes: element records, OpenEXR pictures, glTF, pages of atlases.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use glam::Vec3;
+use rebake_core::LightPart;
 use rebake_core::export::{EXR_WIDTH, LightLayout, LitExport, Precision, write_exr, write_lit_glb, write_page_exr};
 use rebake_core::render::{Picture, ToneMap, auto_exposure};
 use rebake_core::scene::Original;
@@ -130,13 +132,11 @@ pub(crate) fn layers_exr(layers: &[Arc<Layer>], about: &[(&str, &str)]) -> Resul
             [format!("{name}.direct"), format!("{name}.indirect")]
         })
         .collect();
-    let mut channels: Vec<(&str, &[Vec3])> = Vec::new();
-    for ([direct, indirect], layer) in names.iter().zip(layers) {
-        channels.extend([
-            (direct.as_str(), layer.light.direct.as_slice()),
-            (indirect.as_str(), layer.light.indirect.as_slice()),
-        ]);
-    }
+    let parts = [LightPart::Direct, LightPart::Indirect];
+    let values = layers.iter().flat_map(|layer| parts.map(|part| layer.light.part(part)));
+    let values: Vec<Cow<'_, [Vec3]>> = values.collect();
+    let names = names.iter().flatten().map(String::as_str);
+    let channels: Vec<(&str, &[Vec3])> = names.zip(values.iter().map(|values| &**values)).collect();
     write_exr(&channels, EXR_WIDTH, about).map_err(|error| error.to_string())
 }
 

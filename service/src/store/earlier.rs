@@ -118,7 +118,7 @@ impl Earlier {
         let mut bytes = 0;
         for map in kept.filter(|map| maps.insert(Arc::as_ptr(map))) {
             let own = map.layers.iter().filter(|layer| layers.insert(Arc::as_ptr(layer)));
-            bytes += (map.len() + own.map(|layer| layer.light.len()).sum::<usize>()) * VALUE_BYTES;
+            bytes += map.len() * VALUE_BYTES + own.map(|layer| layer.light.memory_bytes()).sum::<usize>();
         }
         bytes
     }

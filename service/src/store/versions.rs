@@ -304,7 +304,7 @@ impl Published {
         let layer = self.layer(name)?;
         Some(match wanted {
             Wanted::Light(part) => layer.values(part),
-            Wanted::Error => self.errors(&layer.layer.light.variance).into(),
+            Wanted::Error => self.errors(&layer.layer.light.variance()).into(),
         })
     }
 

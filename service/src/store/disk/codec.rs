@@ -1,26 +1,31 @@
 //! Light maps as bytes, little-endian: a magic, the number of slots and of layers, the values of the whole, then layer
-//! after layer: its name, its lights with their reference strengths, its values. Values are direct, indirect and
-//! variance of all slots, as `f32`. Maps of the first format have no layers.
+//! after layer: its name, its lights with their reference strengths, the number of its blocks, and of every block its index
+//! and its values. Values are direct, indirect and variance of all slots of the whole or a block, as `f32`. Maps of the
+//! second format have all values of every layer, those of the first have no layers.
 
 use std::sync::Arc;
 
 use glam::Vec3;
-use rebake_core::layers::{Layer, LayerLight, LightValues};
+use rebake_core::layers::{BLOCK_SLOTS, Layer, LayerLight, LightBlock, LightValues, SparseLight, blocks_of};
 
 use crate::engine::LightMap;
 
-const MAGIC: &[u8; 8] = b"RBKMAP02";
+const MAGIC: &[u8; 8] = b"RBKMAP03";
+/// With values of all slots in every layer.
+const MAGIC_2: &[u8; 8] = b"RBKMAP02";
 /// Without layers, and without their number.
 const MAGIC_1: &[u8; 8] = b"RBKMAP01";
 const BYTES_PER_SLOT: usize = 28;
 
 /// The bytes of a map.
 pub(crate) fn encode_map(map: &LightMap) -> Vec<u8> {
-    let mut bytes = Vec::with_capacity(MAGIC.len() + 12 + (map.layers.len() + 1) * (map.len() * BYTES_PER_SLOT + 256));
+    let layers: usize = map.layers.iter().map(|layer| 256 + layer.light.memory_bytes()).sum();
+    let mut bytes = Vec::with_capacity(MAGIC.len() + 12 + map.len() * BYTES_PER_SLOT + layers);
     bytes.extend_from_slice(MAGIC);
     bytes.extend_from_slice(&(map.len() as u64).to_le_bytes());
     put_count(&mut bytes, map.layers.len());
-    put_values(&mut bytes, &map.light);
+    let LightValues { direct, indirect, variance } = &map.light;
+    put_values(&mut bytes, &LightBlock { direct, indirect, variance });
     for layer in &map.layers {
         put_name(&mut bytes, &layer.name);
         put_count(&mut bytes, layer.lights.len());
@@ -28,7 +33,11 @@ pub(crate) fn encode_map(map: &LightMap) -> Vec<u8> {
             put_name(&mut bytes, &light.name);
             put_vec3s(&mut bytes, &[light.reference]);
         }
-        put_values(&mut bytes, &layer.light);
+        put_count(&mut bytes, layer.light.blocks().count());
+        for (index, block) in layer.light.blocks() {
+            put_count(&mut bytes, index);
+            put_values(&mut bytes, &block);
+        }
     }
     bytes
 }
@@ -48,25 +57,31 @@ fn put_vec3s(bytes: &mut Vec<u8>, values: &[Vec3]) {
     }
 }
 
-fn put_values(bytes: &mut Vec<u8>, light: &LightValues) {
-    put_vec3s(bytes, &light.direct);
-    put_vec3s(bytes, &light.indirect);
+fn put_values(bytes: &mut Vec<u8>, light: &LightBlock<'_>) {
+    put_vec3s(bytes, light.direct);
+    put_vec3s(bytes, light.indirect);
     light.variance.iter().for_each(|x| bytes.extend_from_slice(&x.to_le_bytes()));
 }
 
 /// The map of some bytes; none where they are not one.
 pub(crate) fn decode_map(bytes: &[u8]) -> Option<LightMap> {
-    let (rest, has_layers) = match bytes.strip_prefix(MAGIC) {
-        Some(rest) => (rest, true),
-        None => (bytes.strip_prefix(MAGIC_1)?, false),
-    };
+    let formats = [(MAGIC, Format::Blocks), (MAGIC_2, Format::Whole), (MAGIC_1, Format::NoLayers)];
+    let (rest, format) = formats.into_iter().find_map(|(magic, format)| Some((bytes.strip_prefix(magic)?, format)))?;
     let mut reader = Reader { rest };
     let len = usize::try_from(u64::from_le_bytes(*reader.chunk::<8>()?)).ok()?;
-    let count = if has_layers { reader.count()? } else { 0 };
+    let count = if format == Format::NoLayers { 0 } else { reader.count()? };
     let light = reader.values(len)?;
     // A count that lies ends with the bytes.
-    let layers = (0..count).map(|_| reader.layer(len).map(Arc::new)).collect::<Option<_>>()?;
+    let layers = (0..count).map(|_| reader.layer(len, format).map(Arc::new)).collect::<Option<_>>()?;
     reader.rest.is_empty().then_some(LightMap { light, layers })
+}
+
+/// What stands there of layers.
+#[derive(Clone, Copy, PartialEq)]
+enum Format {
+    NoLayers,
+    Whole,
+    Blocks,
 }
 
 struct Reader<'a> {
@@ -99,11 +114,26 @@ impl Reader<'_> {
         self.chunk::<12>().map(vec3)
     }
 
-    fn layer(&mut self, len: usize) -> Option<Layer> {
+    fn layer(&mut self, len: usize, format: Format) -> Option<Layer> {
         let name = self.name()?;
         let lights = (0..self.count()?).map(|_| Some(LayerLight { name: self.name()?, reference: self.vec3()? }));
         let lights = lights.collect::<Option<_>>()?;
-        Some(Layer { name, lights, light: self.values(len)? })
+        let light = if format == Format::Blocks { self.blocks(len)? } else { self.values(len)?.into() };
+        Some(Layer { name, lights, light })
+    }
+
+    fn blocks(&mut self, len: usize) -> Option<SparseLight> {
+        let (mut blocks, mut next) = (Vec::new(), 0);
+        for _ in 0..self.count()? {
+            let index = self.count()?;
+            (next..blocks_of(len)).contains(&index).then_some(())?;
+            blocks.push((index, self.values(BLOCK_SLOTS.min(len - index * BLOCK_SLOTS))?));
+            next = index + 1;
+        }
+        let blocks = blocks.iter().map(|(index, LightValues { direct, indirect, variance })| {
+            (*index, LightBlock { direct, indirect, variance })
+        });
+        Some(SparseLight::of_blocks(len, blocks))
     }
 
     /// Direct, indirect and variance of `len` slots.
@@ -168,7 +198,8 @@ mod tests {
                     direct: part.indirect.clone(),
                     indirect: part.direct.clone(),
                     variance: vec![0.1, 0.2, 0.3],
-                },
+                }
+                .into(),
             }));
         }
         for layers in [0, 1, 2] {
@@ -177,12 +208,48 @@ mod tests {
             let bytes = encode_map(&map);
             let back = decode_map(&bytes).unwrap();
             assert!(back == map && back.light.direct[1].y.is_sign_negative());
-            assert!(back.layers.iter().all(|layer| layer.light.indirect[1].y.is_sign_negative()));
+            assert!(back.layers.iter().all(|layer| layer.light.at(1).1.y.is_sign_negative()));
             for cut in 0..bytes.len() {
                 assert!(decode_map(&bytes[..cut]).is_none(), "{layers} layers, {cut} bytes");
             }
             assert!(decode_map(&[&bytes[..], &[0]].concat()).is_none(), "more than a map");
         }
+    }
+
+    #[test]
+    fn only_blocks_with_light_are_kept() {
+        let mut light = LightValues::black(3 * BLOCK_SLOTS + 5);
+        let mut map = LightMap::from(light.clone());
+        let empty = encode_map(&map).len();
+        for slot in [BLOCK_SLOTS, 3 * BLOCK_SLOTS + 4] {
+            light.direct[slot] = Vec3::X;
+        }
+        map.layers.push(Arc::new(Layer { light: light.into(), ..Layer::default() }));
+        let bytes = encode_map(&map);
+        // A name, lights, blocks, of which each has an index.
+        assert_eq!(bytes.len(), empty + 3 * 4 + 2 * 4 + (BLOCK_SLOTS + 5) * BYTES_PER_SLOT);
+        assert!(decode_map(&bytes).unwrap() == map);
+        // Blocks that are not there, or not in their order.
+        let first = empty + 3 * 4;
+        for index in [3_u32, 4, u32::MAX] {
+            let mut wrong = bytes.clone();
+            wrong[first..first + 4].copy_from_slice(&index.to_le_bytes());
+            assert!(decode_map(&wrong).is_none(), "{index}");
+        }
+    }
+
+    #[test]
+    fn maps_of_the_second_format_are_read() {
+        let mut map = odd_map();
+        map.layers.push(Arc::new(Layer { name: "a".to_owned(), light: odd_map().light.into(), ..Layer::default() }));
+        let mut bytes = encode_map(&map);
+        bytes[..8].copy_from_slice(MAGIC_2);
+        assert!(decode_map(&bytes).is_none(), "the second format has no blocks");
+        // The number of blocks, and the index of the only one.
+        let blocks = bytes.len() - 3 * BYTES_PER_SLOT - 8;
+        bytes.drain(blocks..blocks + 8);
+        assert!(decode_map(&bytes).unwrap() == map);
+        assert!(decode_map(&bytes[..bytes.len() - 1]).is_none());
     }
 
     #[test]

@@ -1,90 +1,14 @@
-//! What transport carries: light of all lights together, or layer by layer along the same rays.
+//! All layers side by side, or one.
 
-use std::fmt::Debug;
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Sub, SubAssign};
 
 use glam::{DVec3, Vec3};
 
-/// Light at a point, linear RGB, of one or several layers. All arithmetic is per layer; a `Vec3` factor (albedo) and a
-/// scalar apply to every layer.
-pub(crate) trait Value:
-    Copy
-    + Default
-    + Debug
-    + PartialEq
-    + Send
-    + Sync
-    + Add<Output = Self>
-    + AddAssign
-    + Sub<Output = Self>
-    + SubAssign
-    + Mul<Vec3, Output = Self>
-    + Mul<f32, Output = Self>
-    + Div<f32, Output = Self>
-    + Sum
-    + 'static
-{
-    /// Double-precision numbers per layer and channel, for sums over many elements.
-    type Wide: Wide;
-
-    /// Light of one layer.
-    fn of_layer(layer: u32, light: Vec3) -> Self;
-
-    /// Light of some layers, of none in those that are left.
-    fn of_layers(layers: &[Vec3]) -> Self;
-
-    /// Adds to the light of one layer.
-    fn add_to_layer(&mut self, layer: u32, light: Vec3);
-
-    /// A layer's light.
-    fn layer(&self, layer: usize) -> Vec3;
-
-    /// Numbers per layer and channel, in double precision.
-    fn wide(self) -> Self::Wide;
-
-    /// Product per layer and channel.
-    fn times(self, other: Self) -> Self;
-
-    /// Numbers per layer and channel, in single precision.
-    fn narrow(wide: Self::Wide) -> Self;
-
-    /// All layers, each with its weight.
-    #[inline]
-    fn weighted(&self, weights: &[Vec3]) -> Vec3 {
-        weights.iter().enumerate().map(|(layer, weight)| self.layer(layer) * *weight).sum()
-    }
-}
-
-/// Double-precision numbers per layer and channel.
-pub(crate) trait Wide: Copy + Debug + Send + Sync {
-    /// A number per channel, the same for all layers.
-    fn splat(value: DVec3) -> Self;
-
-    /// Applies `f` layer by layer.
-    fn map(self, f: impl Fn(DVec3) -> DVec3) -> Self {
-        self.zip(self, |a, _| f(a))
-    }
-
-    /// Applies `f` layer by layer to two.
-    fn zip(self, other: Self, f: impl Fn(DVec3, DVec3) -> DVec3) -> Self;
-
-    /// Whether `f` holds for all layers of two.
-    fn all(self, other: Self, f: impl Fn(DVec3, DVec3) -> bool) -> bool;
-
-    /// Sum.
-    fn plus(self, other: Self) -> Self {
-        self.zip(other, |a, b| a + b)
-    }
-
-    /// Product.
-    fn times(self, other: Self) -> Self {
-        self.zip(other, |a, b| a * b)
-    }
-}
+use super::{Lockstep, Scalars, Value, Wide};
 
 impl Value for Vec3 {
-    type Wide = DVec3;
+    type Scalars = NoScalars;
 
     #[inline]
     fn of_layer(_: u32, light: Vec3) -> Self {
@@ -105,6 +29,15 @@ impl Value for Vec3 {
     fn layer(&self, _: usize) -> Vec3 {
         *self
     }
+
+    #[inline]
+    fn squares(&self, _: f32) -> NoScalars {
+        NoScalars
+    }
+}
+
+impl Lockstep for Vec3 {
+    type Wide = DVec3;
 
     #[inline]
     fn wide(self) -> DVec3 {
@@ -148,7 +81,7 @@ impl<const K: usize> Default for Layered<K> {
 }
 
 impl<const K: usize> Value for Layered<K> {
-    type Wide = [DVec3; K];
+    type Scalars = LayeredScalars<K>;
 
     #[inline]
     fn of_layer(layer: u32, light: Vec3) -> Self {
@@ -170,9 +103,28 @@ impl<const K: usize> Value for Layered<K> {
     }
 
     #[inline]
+    fn add_scaled(&mut self, other: &Self, by: Vec3) {
+        self.0.iter_mut().zip(&other.0).for_each(|(a, b)| *a += *b * by);
+    }
+
+    #[inline]
     fn layer(&self, layer: usize) -> Vec3 {
         self.0[layer]
     }
+
+    #[inline]
+    fn weighted(&self, weights: &[Vec3]) -> Vec3 {
+        self.0.iter().zip(weights).fold(Vec3::ZERO, |sum, (light, weight)| sum + *light * *weight)
+    }
+
+    #[inline]
+    fn squares(&self, factor: f32) -> LayeredScalars<K> {
+        LayeredScalars(self.0.map(|light| factor * light.length_squared() / 3.0))
+    }
+}
+
+impl<const K: usize> Lockstep for Layered<K> {
+    type Wide = [DVec3; K];
 
     #[inline]
     fn wide(self) -> [DVec3; K] {
@@ -188,11 +140,6 @@ impl<const K: usize> Value for Layered<K> {
     #[inline]
     fn narrow(wide: [DVec3; K]) -> Self {
         Layered(wide.map(|v| v.as_vec3()))
-    }
-
-    #[inline]
-    fn weighted(&self, weights: &[Vec3]) -> Vec3 {
-        self.0.iter().zip(weights).fold(Vec3::ZERO, |sum, (light, weight)| sum + *light * *weight)
     }
 }
 
@@ -287,16 +234,125 @@ impl<const K: usize> Sum for Layered<K> {
     }
 }
 
-/// Calls a function generic over the number of layers for the least number that holds `$layers`.
-macro_rules! with_layers {
-    ($layers:expr, $function:ident($($argument:expr),* $(,)?)) => {
-        match $layers {
-            0 | 1 => $function::<glam::Vec3>($($argument),*),
-            2 => $function::<$crate::value::Layered<2>>($($argument),*),
-            3 | 4 => $function::<$crate::value::Layered<4>>($($argument),*),
-            5..=8 => $function::<$crate::value::Layered<8>>($($argument),*),
-            _ => $function::<$crate::value::Layered<16>>($($argument),*),
-        }
-    };
+/// Of a single layer, whose numbers are those of the whole.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct NoScalars;
+
+impl Scalars for NoScalars {
+    #[inline]
+    fn of_layer(&self, _: usize) -> f32 {
+        0.0
+    }
+
+    #[inline]
+    fn add_to_layer(&mut self, _: usize, _: f32) {}
 }
-pub(crate) use with_layers;
+
+impl Add for NoScalars {
+    type Output = Self;
+
+    fn add(self, _: Self) -> Self {
+        self
+    }
+}
+
+impl AddAssign for NoScalars {
+    fn add_assign(&mut self, _: Self) {}
+}
+
+impl Sub for NoScalars {
+    type Output = Self;
+
+    fn sub(self, _: Self) -> Self {
+        self
+    }
+}
+
+impl Mul<f32> for NoScalars {
+    type Output = Self;
+
+    fn mul(self, _: f32) -> Self {
+        self
+    }
+}
+
+impl Div<f32> for NoScalars {
+    type Output = Self;
+
+    fn div(self, _: f32) -> Self {
+        self
+    }
+}
+
+/// A number for each of `K` layers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(transparent)]
+pub(crate) struct LayeredScalars<const K: usize>([f32; K]);
+
+impl<const K: usize> Default for LayeredScalars<K> {
+    fn default() -> Self {
+        LayeredScalars([0.0; K])
+    }
+}
+
+impl<const K: usize> LayeredScalars<K> {
+    #[inline]
+    fn zip(self, other: Self, f: impl Fn(f32, f32) -> f32) -> Self {
+        LayeredScalars(std::array::from_fn(|k| f(self.0[k], other.0[k])))
+    }
+}
+
+impl<const K: usize> Scalars for LayeredScalars<K> {
+    #[inline]
+    fn of_layer(&self, layer: usize) -> f32 {
+        self.0[layer]
+    }
+
+    #[inline]
+    fn add_to_layer(&mut self, layer: usize, number: f32) {
+        self.0[layer] += number;
+    }
+}
+
+impl<const K: usize> Add for LayeredScalars<K> {
+    type Output = Self;
+
+    #[inline]
+    fn add(self, other: Self) -> Self {
+        self.zip(other, |a, b| a + b)
+    }
+}
+
+impl<const K: usize> AddAssign for LayeredScalars<K> {
+    #[inline]
+    fn add_assign(&mut self, other: Self) {
+        *self = *self + other;
+    }
+}
+
+impl<const K: usize> Sub for LayeredScalars<K> {
+    type Output = Self;
+
+    #[inline]
+    fn sub(self, other: Self) -> Self {
+        self.zip(other, |a, b| a - b)
+    }
+}
+
+impl<const K: usize> Mul<f32> for LayeredScalars<K> {
+    type Output = Self;
+
+    #[inline]
+    fn mul(self, by: f32) -> Self {
+        LayeredScalars(self.0.map(|a| a * by))
+    }
+}
+
+impl<const K: usize> Div<f32> for LayeredScalars<K> {
+    type Output = Self;
+
+    #[inline]
+    fn div(self, by: f32) -> Self {
+        LayeredScalars(self.0.map(|a| a / by))
+    }
+}

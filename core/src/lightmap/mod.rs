@@ -1,5 +1,7 @@
 //! The light map: what is stored per element.
 
+mod sparse;
+
 use std::borrow::Cow;
 use std::ops::{AddAssign, Mul};
 use std::sync::Arc;
@@ -9,11 +11,18 @@ use rayon::prelude::*;
 
 use crate::chunks::Chunks;
 
-/// A map has at most so many layers. Where more lights are relit one by one, those that are left share a layer.
-pub const MAX_LAYERS: usize = 16;
+pub(crate) use sparse::AnyLight;
+pub use sparse::{BLOCK_SLOTS, LightBlock, SparseLight, blocks_of};
 
-/// So many groups of lights have layers of their own: the lights in none need one, too.
-pub const MAX_GROUPS: usize = MAX_LAYERS - 1;
+/// So many layers are carried side by side, at most; of more, those that matter at a place.
+pub const SIDE_BY_SIDE: usize = 16;
+
+/// A map has at most so many layers. Where more lights are relit one by one, those that are left share a layer.
+pub const MAX_LAYERS: usize = 1024;
+
+/// So many groups of lights have layers of their own: the lights in none need one, too, and so does what is left of all
+/// where they matter little.
+pub const MAX_GROUPS: usize = MAX_LAYERS - 2;
 
 /// Slots per task.
 const CHUNK: usize = 4096;
@@ -58,7 +67,7 @@ pub struct Layer {
     /// Its lights.
     pub lights: Vec<LayerLight>,
     /// Their light alone.
-    pub light: LightValues,
+    pub light: SparseLight,
 }
 
 /// A layer without its values.
@@ -79,6 +88,13 @@ pub struct LayerLight {
     pub reference: Vec3,
 }
 
+impl LayerHeader {
+    /// Whether it is the layer of what is left of all others where they matter little: it has no lights of its own.
+    pub fn is_rest(&self) -> bool {
+        self.lights.is_empty()
+    }
+}
+
 impl<V: Copy + Default> LightValues<V> {
     /// No light in `len` slots, without error.
     pub fn black(len: usize) -> LightValues<V> {
@@ -87,7 +103,7 @@ impl<V: Copy + Default> LightValues<V> {
     }
 
     /// Cuts it to `slots` slots, or gives it black ones at its end.
-    fn resize(&mut self, slots: usize) {
+    pub(crate) fn resize(&mut self, slots: usize) {
         self.direct.resize(slots, V::default());
         self.indirect.resize(slots, V::default());
         self.variance.resize(slots, 0.0);
@@ -167,10 +183,10 @@ impl LightMap {
     }
 
     /// What the map is the sum of, at least one: its layers, or all light together where it has none.
-    pub(crate) fn parts(&self) -> Vec<&LightValues> {
+    pub(crate) fn parts(&self) -> Vec<AnyLight<'_>> {
         match self.layers.is_empty() {
-            true => vec![&self.light],
-            false => self.layers.iter().map(|layer| &layer.light).collect(),
+            true => vec![AnyLight::Dense(&self.light)],
+            false => self.layers.iter().map(|layer| AnyLight::Sparse(&layer.light)).collect(),
         }
     }
 
@@ -178,8 +194,17 @@ impl LightMap {
     pub fn resized(&self, slots: usize) -> LightMap {
         let mut map = self.clone();
         map.light.resize(slots);
-        map.layers.iter_mut().for_each(|layer| Arc::make_mut(layer).light.resize(slots));
+        for layer in map.layers.iter_mut().filter(|layer| layer.light.len() != slots) {
+            let light = layer.light.resized(slots);
+            *layer = Arc::new(Layer { name: layer.name.clone(), lights: layer.lights.clone(), light });
+        }
         map
+    }
+
+    /// What is left of all layers where they matter little: there where a map has more of them than are carried side by
+    /// side, and then the first.
+    pub fn rest(&self) -> Option<&Arc<Layer>> {
+        self.layers.first().filter(|layer| layer.lights.is_empty())
     }
 
     /// Slots, empty ones included.

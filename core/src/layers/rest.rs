@@ -1,0 +1,164 @@
+//! Maps of more layers than are carried side by side: each is kept where it matters, and what is left of all of them is
+//! a layer of its own, the first, that nobody can relight.
+//!
+//! The rest has light at the strength that it was computed at. Layers are held at that strength, too: where a lamp is at
+//! `w` times it, the rest is off by at most |w − 1| times itself, and that is stated.
+
+use std::sync::Arc;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::{BLOCK_SLOTS, LEAST, Layer, LayerHeader, LightBlock, LightValues, SparseLight, blocks_of, weight_of};
+use crate::lightmap::LightMap;
+use crate::scene::Scene;
+
+/// Name of the layer of what is left of the others.
+pub const REST_LAYER: &str = "rest";
+
+/// Headers of more layers than are carried side by side, behind that of the rest. Their lights are at present strength.
+/// Those that are off have no layer: what is left of them would be light that is not there.
+pub(super) fn with_rest(mut headers: Vec<LayerHeader>) -> Vec<LayerHeader> {
+    headers.retain(is_lit);
+    let mut name = REST_LAYER.to_owned();
+    while headers.iter().any(|header| header.name == name) {
+        name.push('\'');
+    }
+    headers.insert(0, LayerHeader { name, lights: Vec::new() });
+    headers
+}
+
+fn is_lit(header: &LayerHeader) -> bool {
+    header.is_rest() || header.lights.iter().any(|light| light.reference != Vec3::ZERO)
+}
+
+/// Headers with their lights at present strength, without those that are off.
+pub(crate) fn at_strength_of(headers: &[LayerHeader], scene: &Scene) -> Vec<LayerHeader> {
+    let now = |header: &LayerHeader| {
+        let mut header = header.clone();
+        for light in &mut header.lights {
+            light.reference = super::strength_of(scene, &light.name).unwrap_or(light.reference);
+        }
+        header
+    };
+    headers.iter().map(now).filter(is_lit).collect()
+}
+
+/// A layer at the strength that its lights have in a scene. Those that are off, and those that have changed unlike one
+/// another, stay as they are.
+fn at_present(layer: &Arc<Layer>, scene: &Scene) -> Arc<Layer> {
+    let weight = weight_of(&layer.lights, scene).unwrap_or(Vec3::ONE);
+    let factor = Vec3::select(weight.cmpgt(Vec3::ZERO), weight, Vec3::ONE);
+    if factor == Vec3::ONE {
+        return layer.clone();
+    }
+    let mut lights = layer.lights.clone();
+    lights.iter_mut().for_each(|light| light.reference *= factor);
+    Arc::new(Layer { name: layer.name.clone(), lights, light: layer.light.scaled(factor) })
+}
+
+impl LightMap {
+    /// This map with its layers at the strength of a scene, and with what the rest is off by from then on in its variance;
+    /// itself where it has no rest.
+    pub(crate) fn at_strength_of(&self, scene: &Scene) -> LightMap {
+        let Some(rest) = self.rest() else { return self.clone() };
+        // Those that are off stay as they are, and so does what is stated of them.
+        let on = self.layer_weights(scene).into_iter().map(|w| Vec3::select(w.cmpgt(Vec3::ZERO), w, Vec3::ONE));
+        let off = off_by(&self.layers, &on.collect::<Vec<Vec3>>());
+        let mut layers: Vec<Arc<Layer>> = self.layers.par_iter().map(|layer| at_present(layer, scene)).collect();
+        if off > 0.0 {
+            let mut light = rest.light.to_dense();
+            add_square_of_rest(&mut light.variance, &rest.light, off);
+            layers[0] = Arc::new(Layer { name: rest.name.clone(), lights: Vec::new(), light: light.into() });
+        }
+        LightMap { light: self.light.clone(), layers }
+    }
+
+    /// This map without the layers that weigh nothing in a scene, and those, each with its place; where it has a rest.
+    pub(crate) fn without_dark(&self, scene: &Scene) -> (LightMap, Vec<(usize, Arc<Layer>)>) {
+        if self.rest().is_none() {
+            return (self.clone(), Vec::new());
+        }
+        let all = self.layers.iter().cloned().zip(self.layer_weights(scene)).enumerate();
+        let (dark, lit): (Vec<_>, Vec<_>) = all.partition(|(_, (_, weight))| *weight == Vec3::ZERO);
+        let layers = lit.into_iter().map(|(_, (layer, _))| layer).collect();
+        let dark = dark.into_iter().map(|(place, (layer, _))| (place, layer)).collect();
+        (LightMap { light: self.light.clone(), layers }, dark)
+    }
+}
+
+/// Part of itself that the rest of some layers is off by, at most, where they have these weights.
+pub(crate) fn off_by(layers: &[Arc<Layer>], weights: &[Vec3]) -> f32 {
+    let is_rest = |layer: &Arc<Layer>| layer.lights.is_empty();
+    let own = layers.iter().zip(weights).filter(|(layer, _)| !is_rest(layer));
+    own.map(|(_, weight)| (*weight - Vec3::ONE).abs().max_element()).fold(0.0, f32::max)
+}
+
+/// Adds the square of so much of the rest, mean over RGB, to variances per slot.
+pub(crate) fn add_square_of_rest(variance: &mut [f32], rest: &SparseLight, part: f32) {
+    let factor = part * part / 3.0;
+    for (index, block) in rest.blocks() {
+        let variances = variance[index * BLOCK_SLOTS..].iter_mut();
+        let light = block.direct.iter().zip(block.indirect);
+        variances.zip(light).for_each(|(v, (d, i))| *v += factor * (*d + *i).length_squared());
+    }
+}
+
+/// Layers of which those that `which` tells were computed just now: where they matter little, their light goes to the
+/// rest, which comes first. Where there is no rest, as they are.
+pub(crate) fn thinned(layers: Vec<Arc<Layer>>, which: impl Fn(usize) -> bool, scene: &Scene) -> Vec<Arc<Layer>> {
+    let Some(rest) = layers.first().filter(|layer| layer.lights.is_empty()) else { return layers };
+    let (mut light, sizes) = (rest.light.to_dense(), sizes(&layers, scene));
+    let name = rest.name.clone();
+    let thin = |(k, layer): (usize, &Arc<Layer>)| match k > 0 && which(k) {
+        true => {
+            let layer = at_present(layer, scene);
+            let weight = weight_of(&layer.lights, scene).unwrap_or(Vec3::ONE);
+            thin(&layer, weight, &sizes, &mut light)
+        }
+        false => layer.clone(),
+    };
+    let mut layers: Vec<Arc<Layer>> = layers.iter().enumerate().map(thin).collect();
+    layers[0] = Arc::new(Layer { name, lights: Vec::new(), light: light.into() });
+    layers
+}
+
+/// Size of the light of all layers together, per slot.
+fn sizes(layers: &[Arc<Layer>], scene: &Scene) -> Vec<f32> {
+    let weights: Vec<Vec3> = layers.iter().map(|l| weight_of(&l.lights, scene).unwrap_or(Vec3::ONE)).collect();
+    let mut sizes = vec![0.0; layers.first().map_or(0, |layer| layer.light.len())];
+    sizes.par_chunks_mut(BLOCK_SLOTS).enumerate().for_each(|(index, sizes)| {
+        for (layer, weight) in layers.iter().zip(&weights) {
+            let Some(block) = layer.light.block(index) else { continue };
+            sizes.iter_mut().enumerate().for_each(|(k, size)| *size += size_of_slot(&block, k, *weight));
+        }
+    });
+    sizes
+}
+
+fn size_of_slot(block: &LightBlock, slot: usize, weight: Vec3) -> f32 {
+    (block.direct[slot] * weight).abs().max_element() + (block.indirect[slot] * weight).abs().max_element()
+}
+
+/// A layer without the blocks in which it matters little, at the strength that it is held at, beside light of these sizes
+/// per slot: `weight` times that is added to `rest`.
+pub(crate) fn thin(layer: &Arc<Layer>, weight: Vec3, sizes: &[f32], rest: &mut LightValues) -> Arc<Layer> {
+    let matters = |index: usize, block: &LightBlock| {
+        let sizes = &sizes[index * BLOCK_SLOTS..][..block.direct.len()];
+        sizes.iter().enumerate().any(|(k, size)| size_of_slot(block, k, Vec3::ONE) > LEAST * size)
+    };
+    let kept: Vec<bool> = (0..blocks_of(layer.light.len()))
+        .into_par_iter()
+        .map(|index| layer.light.block(index).is_some_and(|block| matters(index, &block)))
+        .collect();
+    let square = weight.length_squared() / 3.0;
+    for (index, block) in layer.light.blocks().filter(|(index, _)| !kept[*index]) {
+        for (k, slot) in (index * BLOCK_SLOTS..).take(block.direct.len()).enumerate() {
+            rest.direct[slot] += block.direct[k] * weight;
+            rest.indirect[slot] += block.indirect[k] * weight;
+            rest.variance[slot] += block.variance[k] * square;
+        }
+    }
+    let light = SparseLight::of_blocks(layer.light.len(), layer.light.blocks().filter(|(index, _)| kept[*index]));
+    Arc::new(Layer { name: layer.name.clone(), lights: layer.lights.clone(), light })
+}

@@ -1,0 +1,265 @@
+//! More layers than are carried side by side, in a building with a lamp in every room: against bakes of all light
+//! together, and of a lamp alone.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use glam::{DMat4, DVec3, Vec3};
+use rebake_core::scene::{LightKind, Material, Mesh, Object, Scene};
+use rebake_core::{
+    Edit, LightMap, LightPart, Relight, Transition, Unobserved, World, WorldOptions, bake, refine, update,
+};
+
+use super::building::{self, each_lamp, lamp};
+use super::layers::{Count, baked, budget, check_sum};
+use super::statistics::{Estimate, area_mean, assert_agrees, mean_total, replicate};
+
+/// 18 rooms.
+const SIZE: building::Rooms = [3, 3, 2];
+
+fn plain() -> World {
+    world_of(building::building(SIZE))
+}
+
+fn world_of(scene: Scene) -> World {
+    let options = WorldOptions { spacing: Some(0.5), ..WorldOptions::default() };
+    World::new(scene, &options).expect("a building")
+}
+
+fn layered() -> World {
+    let plain = plain();
+    plain.apply(&each_lamp(&plain.scene)).expect("groups").after
+}
+
+/// The same objects and lights without groups.
+fn ungrouped(world: &World) -> World {
+    let groups = std::collections::BTreeMap::new();
+    world_of(Scene { groups, ..Scene::clone(&world.scene) })
+}
+
+fn relit<'a>(names: impl IntoIterator<Item = &'a String>, intensity: f32) -> Edit {
+    let one = |light: &String| Relight { light: light.clone(), color: None, intensity: Some(intensity) };
+    Edit::Relight { lights: names.into_iter().map(one).collect() }
+}
+
+fn updated(transition: &Transition, map: &LightMap, seed: u64) -> Arc<LightMap> {
+    update(transition, map, &budget(32), None, seed, &Unobserved).expect("nobody cancels")
+}
+
+fn chair(x: f64, z: f64) -> Edit {
+    let mesh = Mesh::cuboid(Vec3::ZERO, Vec3::new(0.6, 1.0, 0.6));
+    let chair = Object::new("chair", mesh, Material::diffuse(Vec3::splat(0.5)));
+    let transform = DMat4::from_translation(DVec3::new(x, 0.0, z));
+    Edit::Insert { asset: Arc::new(Scene::from_objects(vec![chair])), name: "chair".into(), transform }
+}
+
+/// Elements of a room, floor to ceiling.
+fn is_in(world: &World, room: building::Rooms) -> impl Fn(usize) -> bool {
+    let (low, high) = (building::corner(room), building::corner([room[0] + 1, room[1] + 1, room[2] + 1]));
+    let positions: Vec<Vec3> = world.positions().iter().copied().collect();
+    move |slot| positions[slot].cmpgt(low).all() && positions[slot].cmplt(high - Vec3::Y * 0.1).all()
+}
+
+/// Mean of all light over replicates against bakes without layers; `bias` is a part of it.
+fn check_mean(name: &str, world: &World, maps: &[Arc<LightMap>], bias: f64) {
+    let plain = ungrouped(world);
+    let fresh: Vec<Arc<LightMap>> = (0..6).map(|seed| baked(&plain, 64, 700 + seed)).collect();
+    let of = |world: &World, maps: &[Arc<LightMap>]| -> Estimate {
+        replicate(maps.len() as u64, |i| mean_total(world, &maps[i as usize]))
+    };
+    let truth = of(&plain, &fresh);
+    assert_agrees(name, of(world, maps), truth.mean, bias * truth.mean + 5.0 * truth.error);
+}
+
+/// Mean of what is left to no lamp.
+fn mean_rest(world: &World, map: &LightMap, which: impl Fn(usize) -> bool) -> f64 {
+    let rest = map.rest().expect("more layers than fit side by side");
+    area_mean(world, which, |slot| (rest.light.at(slot).0 + rest.light.at(slot).1).as_dvec3())
+}
+
+#[test]
+fn layers_add_up_to_a_bake_and_each_is_its_lamps() {
+    let world = layered();
+    let maps: Vec<Arc<LightMap>> = (0..8).map(|seed| baked(&world, 32, seed)).collect();
+    for map in &maps {
+        assert_eq!(map.layers.len(), world.scene.lights.len() + 1);
+        check_sum(&world, map);
+    }
+    check_mean("bake", &world, &maps, 0.0);
+    // Layers are kept where they matter: nothing of a lamp upstairs.
+    let (here, far) = ([1, 1, 0], is_in(&world, [0, 0, 1]));
+    let of_lamp = |map: &LightMap| map.layer_of(&lamp(here)).expect("a layer").clone();
+    assert!(of_lamp(&maps[0]).light.memory_bytes() < 16 * world.slots());
+    assert!((0..world.slots()).filter(|&slot| far(slot)).all(|slot| of_lamp(&maps[0]).light.at(slot).0 == Vec3::ZERO));
+    // A lamp alone, in its room and next door: what its layer lacks is in the rest.
+    let alone = ungrouped(&world);
+    let others = alone.scene.lights.iter().filter(|light| light.name != lamp(here));
+    let off: Vec<String> = others.map(|light| light.name.clone()).collect();
+    let alone = alone.apply(&[relit(&off, 0.0)]).expect("others off").after;
+    let alone = ungrouped(&alone);
+    let fresh: Vec<Arc<LightMap>> = (0..8).map(|seed| baked(&alone, 128, 800 + seed)).collect();
+    let weight = |map: &LightMap| {
+        let layer = map.layers.iter().position(|layer| layer.name == lamp(here)).expect("a layer");
+        map.layer_weights(&world.scene)[layer]
+    };
+    for (room, part) in [(here, LightPart::Direct), (here, LightPart::Indirect), ([0, 1, 0], LightPart::Full)] {
+        let inside = is_in(&world, room);
+        let of = |map: &LightMap| {
+            let (values, weight) = (of_lamp(map).light.part(part).into_owned(), weight(map));
+            area_mean(&world, &inside, |slot| (values[slot] * weight).as_dvec3())
+        };
+        let truth = replicate(8, |i| {
+            let values = fresh[i as usize].light.part(part);
+            area_mean(&alone, &inside, |slot| values[slot].as_dvec3())
+        });
+        let lacks = maps.iter().map(|map| mean_rest(&world, map, &inside)).fold(0.0, f64::max);
+        let estimate = replicate(8, |i| of(&maps[i as usize]));
+        assert_agrees(&format!("{room:?} {part:?}"), estimate, truth.mean, lacks + 5.0 * truth.error);
+        // What is left to no lamp is little.
+        assert!(lacks < 0.02 * maps.iter().map(|map| mean_total(&world, map)).fold(0.0, f64::max), "{lacks}");
+    }
+}
+
+#[test]
+fn any_lamp_is_relit_without_a_ray_and_states_what_is_left() {
+    let world = layered();
+    let map = baked(&world, 64, 1);
+    let name = lamp([2, 0, 1]);
+    let transition = world.apply(&[relit([&name], 6.0)]).expect("a relight");
+    let count = Count::default();
+    let bright = update(&transition, &map, &budget(64), None, 1, &count).expect("nobody cancels");
+    assert_eq!(count.rays.load(Ordering::Relaxed), 0);
+    check_sum(&transition.after, &bright);
+    let truth = baked(&ungrouped(&transition.after), 1024, 2);
+    let square = |slot: usize| (bright.total(slot) - truth.total(slot)).as_dvec3().powf(2.0);
+    let off = area_mean(&world, |_| true, square).sqrt();
+    let stated = f64::from(bright.estimated_rmse(transition.after.areas()));
+    assert!(off <= 1.25 * stated && stated <= 4.0 * off, "off by {off}, stated {stated}");
+    // Back again, and off.
+    let back = transition.after.apply(&[relit([&name], 1.0)]).expect("a relight");
+    let again = updated(&back, &bright, 2);
+    check_sum(&back.after, &again);
+    let dark = world.apply(&[relit([&name], 0.0)]).expect("a relight");
+    check_sum(&dark.after, &updated(&dark, &map, 3));
+}
+
+#[test]
+fn what_is_inserted_is_lit_by_all_lamps() {
+    let world = layered();
+    // A lamp that is dimmed meanwhile is no obstacle.
+    let dim = world.apply(&[relit([&lamp([0, 0, 0])], 0.2)]).expect("a relight");
+    let transition = dim.after.apply(&[chair(2.4, 2.6)]).expect("a chair");
+    let maps: Vec<Arc<LightMap>> = (0..8)
+        .map(|seed| {
+            let map = updated(&dim, &baked(&world, 32, seed), seed);
+            updated(&transition, &map, 100 + seed)
+        })
+        .collect();
+    maps.iter().for_each(|map| check_sum(&transition.after, map));
+    check_mean("insert", &transition.after, &maps, 0.005);
+    // Refined, they are as good, and state less.
+    let fine = refine(&transition.after, &maps[0], &budget(64), 5, &Unobserved).expect("nobody cancels");
+    check_sum(&transition.after, &fine);
+    assert!(fine.estimated_rmse(transition.after.areas()) < maps[0].estimated_rmse(transition.after.areas()));
+}
+
+#[test]
+fn lamps_move_come_and_go() {
+    let world = layered();
+    let position = Some(DVec3::new(1.0, 1.2, 1.0));
+    let kind = LightKind::Point { position: DVec3::new(1.0, 1.0, 1.2), range: None };
+    let bulb = Edit::InsertLight { name: "bulb".into(), kind, color: Vec3::ONE, intensity: 3.0 };
+    let come = world.apply(&[bulb]).expect("a bulb");
+    let step = Edit::MoveLight { light: "bulb".into(), position, direction: None, own_layer: true };
+    let moved = come.after.apply(&[step]).expect("a move");
+    let gone = moved.after.apply(&[Edit::Remove { objects: vec![lamp([1, 0, 0])] }]).expect("a removal");
+    let mut found: [Vec<Arc<LightMap>>; 3] = Default::default();
+    for seed in 0..6 {
+        let mut map = baked(&world, 32, seed);
+        for ((transition, found), seed) in [&come, &moved, &gone].into_iter().zip(&mut found).zip(10 * seed..) {
+            map = updated(transition, &map, seed);
+            check_sum(&transition.after, &map);
+            found.push(map.clone());
+        }
+    }
+    // The bulb has one while it is there, and the lamp that goes none.
+    let layers = world.scene.lights.len() + 1;
+    assert_eq!(found.each_ref().map(|maps| maps[0].layers.len()), [layers + 1, layers + 1, layers]);
+    for (name, (transition, maps)) in
+        ["come", "moved", "gone"].iter().zip([&come, &moved, &gone].into_iter().zip(&found))
+    {
+        let rest = maps.iter().map(|map| mean_rest(&transition.after, map, |_| true)).fold(0.0, f64::max);
+        check_mean(name, &transition.after, maps, 0.005 + rest / mean_total(&transition.after, &maps[0]));
+    }
+}
+
+#[test]
+fn lamps_that_are_off_are_lit_when_they_are_on() {
+    let name = lamp([2, 1, 0]);
+    let switch = |world: &World, to: f32| world.apply(&[relit([&name], to)]).expect("a relight");
+    let rays = |transition: &Transition, map: &LightMap, seed: u64| {
+        let count = Count::default();
+        let map = update(transition, map, &budget(32), None, seed, &count).expect("nobody cancels");
+        check_sum(&transition.after, &map);
+        (map, count.rays.load(Ordering::Relaxed))
+    };
+    let off = switch(&layered(), 0.0).after;
+    let on = switch(&off, 1.0);
+    let off_again = switch(&on.after, 0.0);
+    let chair = off_again.after.apply(&[chair(9.0, 5.5)]).expect("a chair");
+    let last = switch(&chair.after, 1.0);
+    let (mut lit, mut beside) = (Vec::new(), Vec::new());
+    for seed in 0..6 {
+        let map = baked(&off, 32, seed);
+        assert!(map.layer_of(&name).is_none(), "off from the first, it has no layer");
+        let (map, traced) = rays(&on, &map, seed);
+        assert!(traced > 0 && map.layer_of(&name).is_some());
+        lit.push(map.clone());
+        // From then on it is a switch, whatever happens beside it meanwhile.
+        let (map, traced) = rays(&off_again, &map, seed);
+        assert_eq!(traced, 0);
+        let (map, _) = rays(&chair, &map, seed);
+        let (map, traced) = rays(&last, &map, seed);
+        assert_eq!(traced, 0);
+        beside.push(map);
+    }
+    check_mean("on", &on.after, &lit, 0.01);
+    check_mean("on beside a chair", &last.after, &beside, 0.015);
+}
+
+#[test]
+fn the_seventeenth_lamp_to_be_relit_makes_a_rest() {
+    let mut world = plain();
+    let mut map = bake(&world, &budget(32), 1, &Unobserved).expect("nobody cancels");
+    let names: Vec<String> = building::rooms(SIZE).map(lamp).collect();
+    for (k, name) in names.iter().enumerate() {
+        let transition = world.apply(&[relit([name], 1.0 + 0.05 * k as f32)]).expect("a relight");
+        (map, world) = (updated(&transition, &map, k as u64), transition.after);
+        check_sum(&world, &map);
+    }
+    assert_eq!(map.layers.len(), names.len() + 1);
+    let plain = ungrouped(&world);
+    let truth = replicate(6, |seed| mean_total(&plain, &baked(&plain, 64, 40 + seed)));
+    let found = mean_total(&world, &map);
+    assert!((found / truth.mean - 1.0).abs() < 0.02, "{found} and {truth:?}");
+    // Many that leave at once are baked together.
+    let all = plain.apply(&each_lamp(&plain.scene)).expect("groups");
+    let together = updated(&all, &baked(&plain, 32, 3), 4);
+    assert_eq!(together.layers.len(), names.len() + 1);
+    check_sum(&all.after, &together);
+}
+
+#[test]
+fn bits_do_not_depend_on_threads() {
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        pool.install(|| {
+            let world = layered();
+            let map = baked(&world, 8, 1);
+            let transition = world.apply(&[chair(2.4, 2.6)]).expect("a chair");
+            let lit = update(&transition, &map, &budget(8), None, 2, &Unobserved).expect("nobody cancels");
+            (map, lit)
+        })
+    };
+    assert!(run(1) == run(3));
+}
