@@ -6,13 +6,19 @@ use super::{Effort, Work};
 use crate::job::Canceled;
 use crate::random::{Draws, PartSeed, Pcg32};
 use crate::value::Value;
-use crate::world::{Emitter, World, visible_light};
+use crate::world::{Emitter, WEIGHED, World, visible_light};
+
+/// Of more lights than are weighed at every vertex, an element gets so many samples of all of them together, over the
+/// nominal number.
+const OF_MANY: f32 = 4.0;
 
 /// How many samples each light gets, for a nominal number per element.
 #[derive(Clone, Debug)]
 pub struct DirectLight {
     /// Samples per emitter, in the order of [`World::emitters`], then of what comes evenly from outside.
     pub samples: Vec<u32>,
+    /// Samples of one light, at most, and of all that are aimed at together, where they are many.
+    of_many: Option<(u32, f32)>,
 }
 
 impl DirectLight {
@@ -29,7 +35,11 @@ impl DirectLight {
             () if i >= emitters.list.len() => samples,
             () => ((total * share(i)).round() as u32).clamp(1, samples.max(1)),
         };
-        DirectLight { samples: emitters.all().enumerate().map(of).collect() }
+        let are_many = emitters.list.len() > WEIGHED;
+        DirectLight {
+            samples: emitters.all().enumerate().map(of).collect(),
+            of_many: are_many.then_some((samples, OF_MANY * samples as f32)),
+        }
     }
 
     /// irradiance / π at a point with unit normal `n`, light by light added up, from `factor` times the samples.
@@ -41,8 +51,13 @@ impl DirectLight {
         draws: &mut Draws,
         rays: &mut u64,
     ) -> V {
-        let mut sum = V::default();
-        for (emitter, &count) in world.emitters.all().zip(&self.samples) {
+        let (mut sum, list) = (V::default(), world.emitters.list.len());
+        let mut first = 0;
+        if let Some(of_many) = self.of_many {
+            sum = estimate_many(world, (point, n), of_many, factor, draws, rays);
+            first = list;
+        }
+        for (emitter, &count) in world.emitters.all().zip(&self.samples).skip(first) {
             if count == 0 || emitter.is_below_horizon(point, n) {
                 continue;
             }
@@ -56,6 +71,41 @@ impl DirectLight {
         }
         sum.thinned()
     }
+}
+
+/// As [`DirectLight::estimate`], of many lights that are aimed at: each gets samples by what it could bring there, and
+/// one that is to have less than one gets one as often as that says.
+fn estimate_many<V: Value>(
+    world: &World,
+    (point, n): (Vec3, Vec3),
+    (most, all): (u32, f32),
+    factor: u32,
+    draws: &mut Draws,
+    rays: &mut u64,
+) -> V {
+    let list = &world.emitters.list;
+    let total: f32 = list.iter().map(|emitter| emitter.weight_at(point, n)).sum();
+    let mut sum = V::default();
+    for emitter in list {
+        let weight = emitter.weight_at(point, n);
+        if weight <= 0.0 {
+            continue;
+        }
+        let wanted = all * factor as f32 * (weight / total);
+        let light = if wanted < 1.0 {
+            if draws.own.next_f32() >= wanted {
+                continue;
+            }
+            visible_light(emitter, &world.trees, point, n, draws.own.next_2d(), rays) / wanted
+        } else {
+            let count = if emitter.is_delta() { 1 } else { (wanted.round() as u32).clamp(1, most * factor) };
+            let sequence = draws.sequence(count);
+            let light = |k| visible_light(emitter, &world.trees, point, n, sequence.get(k), rays);
+            (0..count).map(light).sum::<Vec3>() / count as f32
+        };
+        sum.add_to_layer(emitter.layer, light);
+    }
+    sum
 }
 
 /// One sample of one light that is aimed at, for a vertex of a path. What comes evenly from outside the path finds itself.

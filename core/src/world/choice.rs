@@ -1,12 +1,12 @@
-//! Which light a vertex of a path samples: by what each could bring there, where they are few; by power where there are
-//! many. A weak lamp then does not explode beside itself, where it is chosen as seldom as its power says.
+//! Which light a vertex of a path samples: by what each could bring there, one by one where they are few, by way of a tree
+//! where there are many. A weak lamp then does not explode beside itself, where it is chosen as seldom as its power says.
 
 use glam::Vec3;
 
 use super::emitters::{Emitter, Emitters, Shape};
 
 /// So many lights are weighed at every vertex.
-const WEIGHED: usize = 32;
+pub(crate) const WEIGHED: usize = 32;
 
 /// Solid angle of the half space above a surface, sr.
 const HALF_SPACE: f32 = std::f32::consts::TAU;
@@ -16,9 +16,8 @@ impl Emitters {
     /// uniform.
     #[inline]
     pub(crate) fn choose(&self, point: Vec3, n: Vec3, u: f32) -> Option<(usize, f32)> {
-        if self.list.len() > WEIGHED {
-            let (index, _) = self.choice.as_ref()?.sample(u);
-            return Some((index, self.choice.as_ref()?.pdf(index)));
+        if let Some(tree) = &self.tree {
+            return tree.choose(&self.list, point, n, u);
         }
         if self.list.len() == 1 {
             return Some((0, 1.0));
@@ -39,8 +38,8 @@ impl Emitters {
 
     /// Probability with which [`Emitters::choose`] answers `index`.
     pub(crate) fn choice_pdf(&self, point: Vec3, n: Vec3, index: usize) -> f32 {
-        if self.list.len() > WEIGHED {
-            return self.choice.as_ref().map_or(0.0, |c| c.pdf(index));
+        if let Some(tree) = &self.tree {
+            return tree.probability(&self.list, point, n, index);
         }
         if self.list.len() == 1 {
             return 1.0;
@@ -64,7 +63,7 @@ impl Emitter {
     /// About the most that it can bring to a surface: strength × solid angle from the nearest point of its box, without
     /// shadows. Zero only where it brings nothing.
     #[inline]
-    fn weight_at(&self, point: Vec3, n: Vec3) -> f32 {
+    pub(crate) fn weight_at(&self, point: Vec3, n: Vec3) -> f32 {
         let strength = self.strength.element_sum() * self.importance;
         if strength <= 0.0 || self.is_below_horizon(point, n) {
             return 0.0;

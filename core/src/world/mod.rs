@@ -39,6 +39,7 @@ pub use trees::Trees;
 
 pub use arriving::{arriving, visible_light};
 pub(crate) use arriving::{arriving_in_space, arriving_on_side};
+pub(crate) use choice::WEIGHED;
 pub(crate) use coarse::Coarse;
 pub use emitters::{Emitter, LightSample};
 pub(crate) use emitters::{Emitters, Shape, sky};

@@ -5,6 +5,7 @@
 
 mod outside;
 mod surface;
+mod tree;
 
 use std::f32::consts::{FRAC_1_PI, PI};
 use std::sync::Arc;
@@ -13,6 +14,8 @@ use glam::Vec3;
 
 use self::outside::TurnedSky;
 pub(super) use self::surface::{Emissive, EmissiveTriangle};
+use self::tree::LightTree;
+use super::choice::WEIGHED;
 use crate::bvh::Hit;
 use crate::sampling::{Cone, Discrete};
 use crate::scene::{Light, LightKind};
@@ -109,6 +112,8 @@ pub(crate) struct Emitters {
     pub list: Vec<Emitter>,
     /// By power, for paths that follow one light at a time.
     pub choice: Option<Discrete>,
+    /// Over those that are aimed at, where they are more than are weighed at every vertex.
+    pub(super) tree: Option<Arc<LightTree>>,
     /// What comes evenly from outside: paths find it where they leave the scene.
     pub skies: Vec<Emitter>,
     /// m.
@@ -121,7 +126,8 @@ impl Emitters {
         let is_sky = |emitter: &Emitter| matches!(emitter.shape, Shape::Sky(_));
         let (skies, list): (Vec<Emitter>, Vec<Emitter>) = emitters.into_iter().partition(is_sky);
         let choice = Discrete::new(list.iter().map(|e| f64::from(e.power(scene_radius) * e.importance)));
-        Emitters { list, choice, skies, scene_radius }
+        let tree = (list.len() > WEIGHED).then(|| Arc::new(LightTree::new(&list)));
+        Emitters { list, choice, tree, skies, scene_radius }
     }
 
     /// Those that are aimed at, then those that are not.
