@@ -66,6 +66,6 @@ pub use refine::refine;
 pub use space::{Density, Footprint, LAYOUT_VERSION, NO_OBJECT, Placement, object_areas};
 pub use update::update;
 pub use world::{
-    Emitter, LightInfo, LightSample, ObjectInfo, Placed, Stated, Transition, Trees, Validity, World, WorldError,
-    WorldOptions, arriving, visible_light,
+    Emitter, LightInfo, LightSample, ObjectInfo, Placed, Spread, Stated, Transition, Trees, Validity, World,
+    WorldError, WorldOptions, arriving, visible_light,
 };

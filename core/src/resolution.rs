@@ -14,7 +14,7 @@ use glam::{DVec3, Vec3};
 use crate::bvh::{Hit, Ray};
 use crate::job::{Canceled, Observer};
 use crate::lightmap::{LightMap, LightPart};
-use crate::points::{PointOptions, light_at};
+use crate::points::{PointLight, PointOptions, light_at};
 use crate::random::{Pcg32, subseed};
 use crate::sampling::uniform_barycentrics;
 use crate::space::Footprint;
@@ -148,11 +148,64 @@ pub fn resolution_error(
 /// # Panics
 /// Where a map has not one value per slot of its world.
 pub fn error_against(
+    of: (&World, &LightMap),
+    exact: (&World, &LightMap),
+    options: &ResolutionOptions,
+    observer: &dyn Observer,
+) -> Result<Option<ResolutionError>, Canceled> {
+    let Some(points) = differences(of, exact, options, observer)? else { return Ok(None) };
+    let mut error = ResolutionError { objects: vec![MeanSquare::default(); of.0.placed.len()], ..Default::default() };
+    for point in &points {
+        let variance = point.noise + f64::from(point.exact.error).powi(2);
+        let square = point.square() - variance;
+        // What is left of rounding is none.
+        let rounding = f64::from(ROUNDING * point.exact.light.length_squared());
+        let square = if square.abs() > rounding { square } else { 0.0 };
+        error.rays += point.exact.rays;
+        if square.is_finite() {
+            let samples = f64::from(options.samples.max(2));
+            error.all.add(square, samples);
+            error.objects[point.object].add(square, samples);
+            error.scatter += samples * f64::from(point.exact.error).powi(2);
+        }
+    }
+    Ok(Some(error))
+}
+
+/// Light that is read at a point between elements, and what is there.
+#[derive(Clone, Copy, Debug)]
+pub struct Difference {
+    /// Index of the object.
+    pub object: usize,
+    /// As it is read, irradiance / π.
+    pub read: Vec3,
+    /// Variance of what is read, by that of the elements, mean over RGB.
+    pub noise: f64,
+    /// As it is.
+    pub exact: PointLight,
+}
+
+impl Difference {
+    /// Squared difference, mean over RGB: of resolution and of noise.
+    pub fn square(&self) -> f64 {
+        f64::from((self.read - self.exact.light).length_squared()) / 3.0
+    }
+}
+
+/// What [`error_against`] makes its mean of, point by point: random points of the surfaces that can be seen, evenly over
+/// their area.
+///
+/// # Errors
+/// [`Canceled`] where the observer says so.
+///
+/// # Panics
+/// Where a map has not one value per slot of its world.
+pub fn differences(
     (world, map): (&World, &LightMap),
     (exact_world, exact_map): (&World, &LightMap),
     options: &ResolutionOptions,
     observer: &dyn Observer,
-) -> Result<Option<ResolutionError>, Canceled> {
+) -> Result<Option<Vec<Difference>>, Canceled> {
     assert_eq!(map.len(), world.slots(), "a light map has one value per slot");
     if map.light.variance.is_empty() {
         return Ok(None);
@@ -168,24 +221,12 @@ pub fn error_against(
     let seed = subseed(options.seed, 0xe8ac);
     let exact =
         light_at(exact_world, exact_map, &points, &PointOptions { part, samples: options.samples, seed }, observer)?;
-    let mut error = ResolutionError { objects: vec![MeanSquare::default(); world.placed.len()], ..Default::default() };
-    for (place, exact) in places.iter().zip(exact) {
-        let read = place.footprint.interpolate(&*values);
+    let difference = |(place, exact): (&SurfacePoint, PointLight)| {
         let noise: f32 =
             place.footprint.slots_and_weights().map(|(slot, w)| w * w * map.light.variance[slot as usize]).sum();
-        let variance = f64::from(noise) + f64::from(exact.error).powi(2);
-        let square = f64::from((read - exact.light).length_squared()) / 3.0 - variance;
-        // What is left of rounding is none.
-        let square = if square.abs() > f64::from(ROUNDING * exact.light.length_squared()) { square } else { 0.0 };
-        error.rays += exact.rays;
-        if square.is_finite() {
-            let samples = f64::from(options.samples.max(2));
-            error.all.add(square, samples);
-            error.objects[place.object].add(square, samples);
-            error.scatter += samples * f64::from(exact.error).powi(2);
-        }
-    }
-    Ok(Some(error))
+        Difference { object: place.object, read: place.footprint.interpolate(&*values), noise: f64::from(noise), exact }
+    };
+    Ok(Some(places.iter().zip(exact).map(difference).collect()))
 }
 
 /// The stated error of each object of the world, in its order: the root of the mean variance over its elements. None

@@ -35,6 +35,7 @@ pub fn merge_as_object(asset: &Scene, name: &str) -> (Object, Vec<Light>) {
         looks,
         world_from_object: DMat4::IDENTITY,
         is_hidden: false,
+        is_inserted: true,
         node: None,
         asset: asset.asset.clone(),
     };

@@ -84,6 +84,8 @@ pub struct Object {
     pub world_from_object: DMat4,
     /// Hidden by an edit: it has no surface for light and no elements, and comes back as it is.
     pub is_hidden: bool,
+    /// An edit has inserted it.
+    pub is_inserted: bool,
     /// Where it comes from; none for what was inserted or made in code.
     pub node: Option<NodeSource>,
     /// The file that it was inserted from ([`Scene::asset`]).

@@ -132,6 +132,7 @@ impl Object {
             looks: Vec::new(),
             world_from_object: DMat4::IDENTITY,
             is_hidden: false,
+            is_inserted: false,
             node: None,
             asset: None,
         }

@@ -5,6 +5,7 @@ use glam::{DMat4, Vec3};
 use super::cells::{Cells, NONE, Patch};
 use super::elements::sample_points;
 use super::neighbours::Neighbours;
+use super::sizing::Sizing;
 use super::subdivide::{Subdivided, subdivide};
 use crate::order::{along_curve, in_order};
 use crate::surface::{
@@ -87,12 +88,33 @@ impl Layout {
         if !(spacing.is_finite() && spacing > 0.0) {
             return Err(SurfaceError::Spacing(spacing));
         }
+        Layout::divided(surface, (spacing, None), max_elements)
+    }
+
+    /// Divides the triangles of a surface until neighbouring elements are about as far apart as sizes say there. As
+    /// [`Layout::new`] otherwise.
+    ///
+    /// # Errors
+    /// [`SurfaceError`]: more than `max_elements` elements.
+    pub(crate) fn by_sizes(
+        surface: &Surface,
+        sizing: &Sizing,
+        max_elements: usize,
+    ) -> Result<(Layout, Elements), SurfaceError> {
+        Layout::divided(surface, (f32::INFINITY, Some(sizing)), max_elements)
+    }
+
+    fn divided(
+        surface: &Surface,
+        (spacing, sizing): (f32, Option<&Sizing>),
+        max_elements: usize,
+    ) -> Result<(Layout, Elements), SurfaceError> {
         // Elements are numbered with 32 bits.
         let limit = max_elements.min(u32::MAX as usize);
         if surface.positions.len() > limit {
             return Err(SurfaceError::TooManyElements { limit });
         }
-        let Subdivided { positions, normals, mut cells } = subdivide(surface, spacing, limit)?;
+        let Subdivided { positions, normals, mut cells } = subdivide(surface, spacing, sizing, limit)?;
         let order = along_curve(&positions);
         let mut number = vec![NONE; positions.len()];
         order.iter().zip(0..).for_each(|(&old, new)| number[old as usize] = new);
@@ -116,7 +138,7 @@ impl Layout {
     /// As it has.
     pub(crate) fn count(surface: &Surface, spacing: f32, max_elements: usize) -> Result<usize, SurfaceError> {
         let limit = max_elements.min(u32::MAX as usize);
-        subdivide(surface, spacing, limit).map(|subdivided| subdivided.positions.len())
+        subdivide(surface, spacing, None, limit).map(|subdivided| subdivided.positions.len())
     }
 
     /// Ids of cells are below this.

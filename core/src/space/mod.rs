@@ -16,6 +16,7 @@ mod neighbours;
 mod offset;
 mod part;
 mod plan;
+mod sizing;
 mod slots;
 mod subdivide;
 #[cfg(test)]
@@ -29,6 +30,7 @@ pub(crate) use footprint::Spot;
 pub(crate) use layout::{Elements, Layout};
 pub(crate) use offset::ray_offset;
 pub(crate) use part::Part;
+pub(crate) use sizing::{Cone, Sizing};
 pub use slots::NO_OBJECT;
 pub use slots::Placement;
 pub(crate) use slots::Slots;

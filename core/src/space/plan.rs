@@ -37,14 +37,8 @@ pub(super) struct Split {
     pub middle: u32,
     /// Segments from the edge's first corner to the middle, and from there to its second corner.
     pub segments: [u32; 2],
-}
-
-impl Split {
-    /// How far along the edge the middle is.
-    pub(super) fn fraction(&self) -> f32 {
-        let [first, second] = self.segments.map(f64::from);
-        (first / (first + second)) as f32
-    }
+    /// How far along the edge, from its first corner, the middle is.
+    pub at: f32,
 }
 
 /// A part of an edge, up to a vertex.

@@ -9,6 +9,7 @@ use glam::Vec3;
 
 use super::cells::{Cells, Cut, Kind, NONE, Node, Root, turned};
 use super::plan::{Child, Piece, Plan, Split, Triangle};
+use super::sizing::{End, Sizes, Sizing};
 use crate::hash::FastMap;
 use crate::surface::{Surface, SurfaceError};
 
@@ -33,10 +34,19 @@ pub(super) struct Subdivided {
     pub cells: Cells,
 }
 
-/// Splits all triangles so that every edge is one segment, of at most `spacing` metres.
-pub(super) fn subdivide(surface: &Surface, spacing: f32, max_elements: usize) -> Result<Subdivided, SurfaceError> {
+/// Splits all triangles so that every edge is one segment, of at most `spacing` metres, or as long as `sizing` says where
+/// there is one.
+pub(super) fn subdivide(
+    surface: &Surface,
+    spacing: f32,
+    sizing: Option<&Sizing>,
+    max_elements: usize,
+) -> Result<Subdivided, SurfaceError> {
     let mut splitter = Splitter {
         spacing: f64::from(spacing),
+        sizing: sizing.map(Sizes::new),
+        shortest: sizing.map_or(0.0, |sizing| f64::from(sizing.least())),
+        sizes: vec![f32::NAN; if sizing.is_some() { surface.positions.len() } else { 0 }],
         max_elements,
         midpoints: FastMap::default(),
         positions: surface.positions.clone(),
@@ -53,11 +63,18 @@ pub(super) fn subdivide(surface: &Surface, spacing: f32, max_elements: usize) ->
     Ok(Subdivided { positions, normals, cells })
 }
 
-struct Splitter {
+struct Splitter<'s> {
     spacing: f64,
+    /// In place of the spacing.
+    sizing: Option<Sizes<'s>>,
+    /// m: of what is not longer nobody asks whether it is to be split.
+    shortest: f64,
+    /// Per vertex, m; NaN where nobody has asked. Empty without `sizing`.
+    sizes: Vec<f32>,
     max_elements: usize,
-    /// Ends of an edge (the lexicographically smaller first) and its segments, to the vertex that splits it.
-    midpoints: FastMap<[u32; 3], u32>,
+    /// Ends of an edge (the lexicographically smaller first) and its segments, to the vertex that splits it, and how far
+    /// along it that is.
+    midpoints: FastMap<[u32; 3], (u32, f64)>,
     positions: Vec<Vec3>,
     normals: Vec<Vec3>,
     cells: Cells,
@@ -65,7 +82,7 @@ struct Splitter {
     pending: Vec<(u32, Triangle)>,
 }
 
-impl Splitter {
+impl Splitter<'_> {
     /// Splits one triangle all the way down.
     fn split(&mut self, corners: [u32; 3]) -> Result<(), SurfaceError> {
         let [a, b, c] = corners;
@@ -122,26 +139,27 @@ impl Splitter {
     }
 
     /// The longest edge of a triangle that has next to no height above it.
-    fn longest_of_flat(&self, corners: [u32; 3]) -> Option<usize> {
+    fn longest_of_flat(&mut self, corners: [u32; 3]) -> Option<usize> {
         let [a, b, c] = corners.map(|corner| self.positions[corner as usize].as_dvec3());
         let lengths = [a.distance(b), b.distance(c), c.distance(a)];
         let longest = (0..3).fold(0, |best, edge| if lengths[edge] > lengths[best] { edge } else { best });
         let height = (b - a).cross(c - a).length() / lengths[longest];
-        (FLAT * height < lengths[longest] && lengths[longest] > self.spacing).then_some(longest)
+        (FLAT * height < lengths[longest] && lengths[longest] > self.least_of(corners)).then_some(longest)
     }
 
     /// An edge in parts of at most `most` segments.
     fn pieces(&mut self, a: u32, b: u32, segments: u32, most: u32) -> Result<Vec<Piece>, SurfaceError> {
         let (mut pieces, mut done) = (Vec::new(), 0);
-        let mut left = vec![(a, b, segments)];
-        while let Some((a, b, part)) = left.pop() {
+        let mut left = vec![(a, b, segments, 0.0, 1.0)];
+        while let Some((a, b, part, from, to)) = left.pop() {
             match if part > most { self.split_edge(a, b, part)? } else { None } {
-                Some(Split { middle, segments: [first, second] }) => {
-                    left.extend([(middle, b, second), (a, middle, first)]);
+                Some(split @ Split { middle, segments: [first, second], .. }) => {
+                    let at = from + (to - from) * f64::from(split.at);
+                    left.extend([(middle, b, second, at, to), (a, middle, first, from, at)]);
                 }
                 None => {
                     done += part;
-                    let at = (f64::from(done) / f64::from(segments)) as f32;
+                    let at = if self.sizing.is_none() { f64::from(done) / f64::from(segments) } else { to } as f32;
                     pieces.push(Piece { end: b, at, segments: part });
                 }
             }
@@ -180,7 +198,7 @@ impl Splitter {
                 let an = self.segments(a, n)?;
                 let tip = Child::new([b, n, a], [bc.segments[0], an, ab_segments]).with_split(2, ab);
                 let rest = Child::new([n, c, a], [bc.segments[1], ca_segments, an]);
-                self.node(Kind::Two((turn + 1) % 3), [n, NONE, NONE], [bc.fraction(), 0.0, 0.0], [tip, rest])
+                self.node(Kind::Two((turn + 1) % 3), [n, NONE, NONE], [bc.at, 0.0, 0.0], [tip, rest])
             }
             _ => {
                 let mc = self.segments(m, c)?;
@@ -190,7 +208,7 @@ impl Splitter {
                     Some(bc) => far.with_split(1, bc),
                     None => far,
                 };
-                self.node(Kind::Two(turn), [m, NONE, NONE], [ab.fraction(), 0.0, 0.0], [near, far])
+                self.node(Kind::Two(turn), [m, NONE, NONE], [ab.at, 0.0, 0.0], [near, far])
             }
         }
     }
@@ -199,7 +217,7 @@ impl Splitter {
     fn divide_in_four(&mut self, [a, b, c]: [u32; 3], [ab, bc, ca]: [Split; 3]) -> Result<Node, SurfaceError> {
         let (m, n, o) = (ab.middle, bc.middle, ca.middle);
         let [mn, no, om] = [self.segments(m, n)?, self.segments(n, o)?, self.segments(o, m)?];
-        let fractions = [ab, bc, ca].map(|split| split.fraction());
+        let fractions = [ab, bc, ca].map(|split| split.at);
         let kind = if fractions == [0.5; 3] { Kind::Halves } else { Kind::Four };
         let children = [
             Child::new([a, m, o], [ab.segments[0], om, ca.segments[1]]),
@@ -276,18 +294,21 @@ impl Splitter {
         let swapped = self.key(b) < self.key(a);
         let (low, high) = if swapped { (b, a) } else { (a, b) };
         let (low_segments, high_segments) = (segments / 2, segments - segments / 2);
-        let middle = match self.midpoints.get(&[low, high, segments]) {
+        let (middle, fraction) = match self.midpoints.get(&[low, high, segments]) {
             Some(&known) => known,
-            None => match self.add_middle(low, high, f64::from(low_segments) / f64::from(segments))? {
-                Some(middle) => {
-                    self.midpoints.insert([low, high, segments], middle);
-                    middle
-                }
-                None => return Ok(None),
-            },
+            None => {
+                let fraction = self.fraction(low, high, f64::from(low_segments) / f64::from(segments));
+                let Some(middle) = self.add_middle(low, high, fraction)? else { return Ok(None) };
+                self.midpoints.insert([low, high, segments], (middle, fraction));
+                (middle, fraction)
+            }
         };
-        let parts = [low_segments, high_segments];
-        Ok(Some(Split { middle, segments: if swapped { [parts[1], parts[0]] } else { parts } }))
+        let (parts, at) = match (swapped, &self.sizing) {
+            (false, _) => ([low_segments, high_segments], fraction),
+            (true, None) => ([high_segments, low_segments], f64::from(high_segments) / f64::from(segments)),
+            (true, Some(_)) => ([high_segments, low_segments], 1.0 - fraction),
+        };
+        Ok(Some(Split { middle, segments: parts, at: at as f32 }))
     }
 
     fn add_middle(&mut self, low: u32, high: u32, fraction: f64) -> Result<Option<u32>, SurfaceError> {
@@ -304,6 +325,7 @@ impl Splitter {
         let normal = if from == to { from } else { mix(from, to).normalize_or(from.as_dvec3()).as_vec3() };
         self.positions.push(position);
         self.normals.push(normal);
+        self.sizes.extend(self.sizing.is_some().then_some(f32::NAN));
         Ok(Some((self.positions.len() - 1) as u32))
     }
 
@@ -317,18 +339,55 @@ impl Splitter {
         self.positions[a as usize].as_dvec3().distance(self.positions[b as usize].as_dvec3())
     }
 
-    /// Number of segments of an edge: the least that are not longer than the spacing.
-    fn segments(&self, a: u32, b: u32) -> Result<u32, SurfaceError> {
-        self.segments_of(a, b, self.spacing)
+    /// A vertex as an end of a way along which sizes count.
+    fn end(&mut self, vertex: u32) -> End {
+        let position = self.positions[vertex as usize];
+        let size = self.sizes.get(vertex as usize).copied().unwrap_or(f32::NAN);
+        match &mut self.sizing {
+            Some(sizing) if size.is_nan() => {
+                let size = sizing.at(position);
+                self.sizes[vertex as usize] = size;
+                (position, size)
+            }
+            _ => (position, size),
+        }
+    }
+
+    /// How far along an edge a share of its segments ends.
+    fn fraction(&mut self, low: u32, high: u32, share: f64) -> f64 {
+        let (low, high) = (self.end(low), self.end(high));
+        self.sizing.as_mut().map_or(share, |sizing| sizing.fraction(low, high, share))
+    }
+
+    /// The least distance between elements at some vertices, m.
+    fn least_of(&mut self, corners: [u32; 3]) -> f64 {
+        if self.sizing.is_none() {
+            return self.spacing;
+        }
+        corners.into_iter().map(|corner| f64::from(self.end(corner).1)).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Number of segments of an edge: the least that are not longer than the spacing, or the size along them.
+    fn segments(&mut self, a: u32, b: u32) -> Result<u32, SurfaceError> {
+        self.segments_of(a, b, 1.0)
     }
 
     /// Number of segments of an edge across a strip. Every second one is a diagonal, a little longer than the spacing.
-    fn segments_across(&self, a: u32, b: u32) -> Result<u32, SurfaceError> {
-        self.segments_of(a, b, DIAGONAL * self.spacing)
+    fn segments_across(&mut self, a: u32, b: u32) -> Result<u32, SurfaceError> {
+        self.segments_of(a, b, DIAGONAL)
     }
 
-    fn segments_of(&self, a: u32, b: u32, longest: f64) -> Result<u32, SurfaceError> {
-        let count = (self.length(a, b) / longest).ceil();
+    fn segments_of(&mut self, a: u32, b: u32, longest: f64) -> Result<u32, SurfaceError> {
+        let length = self.length(a, b);
+        let (low, high) = if self.key(b) < self.key(a) { (b, a) } else { (a, b) };
+        let count = match self.sizing {
+            None => (length / (longest * self.spacing)).ceil(),
+            Some(_) if length <= self.shortest => 1.0,
+            Some(_) => {
+                let (low, high) = (self.end(low), self.end(high));
+                self.sizing.as_mut().map_or(1.0, |sizing| (sizing.length(low, high) / longest).ceil())
+            }
+        };
         if count > self.max_elements.min(u32::MAX as usize) as f64 {
             return Err(SurfaceError::TooManyElements { limit: self.max_elements });
         }

@@ -1,6 +1,6 @@
 //! Invariants of layouts: no cracks, no long edges, nothing more than light needs; a point is found in its cell.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use glam::{DMat4, DVec3, Vec3};
 
@@ -272,4 +272,68 @@ fn what_is_freed_is_used_again() {
     }
     // But for what is kept of every key, four bytes.
     assert!(space.memory_bytes() <= bytes + 1024 && space.cells() == cells);
+}
+
+/// Laid out with fine elements around a place.
+fn lay_by_sizes(mesh: Mesh) -> (Laid, Sizing) {
+    let object = Object::new("thing", mesh, Material::diffuse(Vec3::ONE));
+    let surface = Surface::build(&object, DMat4::IDENTITY).unwrap();
+    let cone = |at, size| Cone { at, radius: 0.05, size };
+    // The first is on the box, the second on the ellipsoid.
+    let cones = [cone(Vec3::new(1.0, 0.3, 0.1), 0.03), cone(Vec3::new(3.0, 0.0, 0.0), 0.03)];
+    let sizing = Sizing::new(&cones, (0.03, 0.3));
+    let (layout, elements) = Layout::by_sizes(&surface, &sizing, LIMIT).unwrap();
+    (Laid { surface, layout, elements }, sizing)
+}
+
+/// Elements lie as far apart as sizes say, no crack opens, and every point finds the cell that it lies in.
+#[test]
+fn elements_follow_sizes_without_cracks() {
+    for (mesh, is_smooth) in [(Mesh::cuboid(Vec3::ZERO, Vec3::new(1.0, 0.37, 2.1)), false), (ellipsoid(), true)] {
+        let (laid, sizing) = lay_by_sizes(mesh);
+        assert!((laid.area() / laid.surface.area() - 1.0).abs() < 1e-5);
+        if is_smooth {
+            assert_eq!(open_edges(&laid), 0);
+            assert_eq!(laid.layout.len(), laid.layout.cell_count() / 2 + 2);
+        }
+        let cells = laid.cells();
+        let mut shortest = f32::INFINITY;
+        for cell in &cells {
+            let [a, b, c] = cell.corners;
+            for (a, b) in [(a, b), (b, c), (c, a)] {
+                let least = sizing.at(a).min(sizing.at(b));
+                assert!(a.distance(b) <= 1.5 * least, "{} {least}", a.distance(b));
+                shortest = shortest.min(a.distance(b));
+            }
+            let middle = (a + b + c) / 3.0;
+            let weights = crate::surface::barycentrics(middle, laid.surface.corners(cell.face as usize));
+            assert_eq!(laid.layout.cells.locate(cell.face, weights).cell, cell.cell);
+        }
+        assert!(shortest < 0.03);
+        // Far from the corner there are fewer than one size for all would have.
+        let even = Layout::count(&laid.surface, 0.03, LIMIT).unwrap();
+        assert!(4 * laid.layout.len() < even, "{} {even}", laid.layout.len());
+    }
+}
+
+/// The same points on the edge of two objects, whatever the order of their triangles and corners.
+#[test]
+fn two_objects_place_the_same_points_by_sizes() {
+    let whole = Mesh::cuboid(Vec3::ZERO, Vec3::new(1.0, 0.37, 2.1));
+    let part = |wanted: bool| {
+        let of_part = |(index, &[a, b, c]): (usize, &[u32; 3])| {
+            (index.is_multiple_of(2) == wanted).then_some(if wanted { [b, c, a] } else { [a, b, c] })
+        };
+        let triangles: Vec<[u32; 3]> = whole.triangles.iter().enumerate().filter_map(of_part).collect();
+        let triangle_materials = vec![0; triangles.len()];
+        lay_by_sizes(Mesh { triangles, triangle_materials, ..whole.clone() }).0
+    };
+    // Far apart beside rounding.
+    let places = |laid: &Laid| -> BTreeSet<[i32; 3]> {
+        laid.corners().into_iter().map(|corner| corner.to_array().map(|x| (x * 1e4).round() as i32)).collect()
+    };
+    let of_parts: BTreeSet<[i32; 3]> = &places(&part(true)) | &places(&part(false));
+    let of_whole = places(&lay_by_sizes(whole.clone()).0);
+    assert!(of_whole.len() > 300, "{}", of_whole.len());
+    assert_eq!(of_parts, of_whole);
 }

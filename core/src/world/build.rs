@@ -8,6 +8,8 @@ use rayon::prelude::*;
 
 use super::emitters::{Emissive, EmissiveTriangle};
 use super::openings::Openings;
+use super::options::Spread;
+use super::sized::{COARSE, Wanted, vertices_of};
 use super::{Coarse, Emitters, Placed, Resolution, Trees, Validity, World, WorldError, WorldOptions, probe};
 use crate::allowed::check_spacing;
 use crate::bvh::{BuildQuality, Bvh};
@@ -18,26 +20,62 @@ use crate::surface::{Facet, Facets, SeeThrough, Surface, facet_area, object_area
 /// Edge of the cells that smooth light is evaluated in, in units of [`Resolution::smooth`].
 pub(crate) const COARSE_RADIUS: f32 = 2.5;
 
+/// Sizes by light leave elements at most this many spacings apart.
+const COARSEST: f32 = 2.5;
+
+/// Elements beside the file's vertices where they are never farther apart than a spacing, as a multiple of those that are
+/// a spacing apart.
+const MORE: f64 = 1.5;
+
+/// Elements by light are laid out again where they are not as many as they are to be, up to this part.
+const NEAR: f64 = 0.05;
+
 pub(super) fn build(mut scene: Scene, options: &WorldOptions) -> Result<World, WorldError> {
     let areas = object_areas(&scene);
     let density = density_of(options, &scene, &areas)?;
-    let spacing = density.spacing;
     if !(0.0..=1.0).contains(&options.max_albedo) {
         return Err(WorldError::MaxAlbedo(options.max_albedo));
     }
     warn_where_coarse(&mut scene, &areas, density);
-    let resolution = Resolution { density, smooth: smooth_of(options, &areas, spacing) };
-    let ready: Vec<Ready> =
-        scene.objects.par_iter().map(|o| Ready::new(&scene, o, resolution, options)).collect::<Result<_, _>>()?;
-    check_size(ready.iter().map(|r| &*r.layout), spacing, options)?;
+    let resolution = Resolution { density, smooth: smooth_of(options, &areas, density.spacing), sizing: None };
+    let mut world = match options.spread {
+        Spread::Uniform => laid_out(scene, resolution, options, None)?,
+        Spread::ByLight | Spread::ByLightWithin => laid_out_by_light(scene, resolution, options)?,
+    };
+    warn_where_more(&mut world);
+    world.mark_solids();
+    world.validity = Arc::new(Validity::of_all(&world));
+    world.look_around(None, |_| true);
+    world.find_behind(None, |_| true);
+    world.atlas = options.atlas.map(|atlas| world.new_atlas(None, atlas)).transpose()?.map(Arc::new);
+    Ok(world)
+}
+
+/// The elements of all objects, what rays meet and where light comes from. Where there is a world of the same scene its
+/// elements alone are laid out anew.
+fn laid_out(
+    scene: Scene,
+    resolution: Resolution,
+    options: &WorldOptions,
+    like: Option<&World>,
+) -> Result<World, WorldError> {
+    let new = |(index, object): (usize, &Arc<Object>)| match like {
+        None => Ready::new(&scene, object, &resolution, options),
+        Some(like) => Shape::of(&like.placed[index]).laid_out(object, &resolution, options),
+    };
+    let ready: Vec<Ready> = scene.objects.par_iter().enumerate().map(new).collect::<Result<_, _>>()?;
+    check_size(ready.iter().map(|r| &*r.layout), resolution.density.spacing, options)?;
 
     let mut placed = Vec::with_capacity(ready.len());
     let mut space = Space::default();
-    space.reserve(ready.iter().map(|r| r.layout.len()).sum());
+    let with_back = |index: usize| like.is_some_and(|like| like.placed[index].with_back);
+    let sides = |(index, ready): (usize, &Ready)| ready.layout.len() * if with_back(index) { 2 } else { 1 };
+    space.reserve(ready.iter().enumerate().map(sides).sum());
     for (key, (object, ready)) in scene.objects.iter().zip(ready).enumerate() {
-        placed.push(ready.place(&mut space, object, key as u32, false));
+        placed.push(ready.place(&mut space, object, key as u32, with_back(key)));
     }
-    let trees = big_tree(&placed, 0);
+    // Triangle slots are the same, and so are the trees.
+    let trees = like.map_or_else(|| big_tree(&placed, 0), |like| like.trees.clone());
     let next_key = placed.len() as u32;
     let mut world = World {
         scene: Arc::new(scene),
@@ -53,14 +91,51 @@ pub(super) fn build(mut scene: Scene, options: &WorldOptions) -> Result<World, W
         next_key,
     };
     world.emitters = Arc::new(world.resolve_emitters());
-    give_backs(&mut world)?;
-    warn_where_more(&mut world);
-    world.mark_solids();
-    world.validity = Arc::new(Validity::of_all(&world));
-    world.look_around(None, |_| true);
-    world.find_behind(None, |_| true);
-    world.atlas = options.atlas.map(|atlas| world.new_atlas(None, atlas)).transpose()?.map(Arc::new);
+    match like {
+        None => give_backs(&mut world)?,
+        Some(_) => check_slots(&world)?,
+    }
     Ok(world)
+}
+
+/// Elements where light needs them: about as many as a spacing for all would have, and half as many more where that
+/// is not to be exceeded.
+fn laid_out_by_light(scene: Scene, resolution: Resolution, options: &WorldOptions) -> Result<World, WorldError> {
+    let Density { spacing, object_squares } = resolution.density;
+    let coarse = Density { spacing: COARSE * spacing, object_squares: object_squares / f64::from(COARSE * COARSE) };
+    let coarse = Resolution { density: coarse, ..resolution.clone() };
+    let mut world = laid_out(scene.clone(), coarse, options, None)?;
+    let (largest, more) = match options.spread {
+        Spread::ByLightWithin => (spacing, MORE),
+        Spread::ByLight | Spread::Uniform => (COARSEST * spacing, 1.0),
+    };
+    let even = even_count(&world, &scene, resolution.density, options)?;
+    let Some(wanted) = Wanted::new(&world, spacing, largest) else {
+        return laid_out(scene, resolution, options, None);
+    };
+    let vertices = vertices_of(&world);
+    let goal = more * even.saturating_sub(vertices) as f64;
+    let mut by_light = |aim: f64| {
+        let sizing = Some(Arc::new(wanted.sizing(aim)));
+        world = laid_out(scene.clone(), Resolution { sizing, ..resolution.clone() }, options, Some(&world))?;
+        Ok::<_, WorldError>((world.clone(), (world.element_count() - vertices) as f64))
+    };
+    let (first, count) = by_light(goal)?;
+    let is_near = (count - goal).abs() <= NEAR * (goal + vertices as f64);
+    Ok(if is_near { first } else { by_light(goal * goal / count.max(1.0))?.0 })
+}
+
+/// Elements that the objects of a world would have at one density.
+fn even_count(world: &World, scene: &Scene, density: Density, options: &WorldOptions) -> Result<usize, WorldError> {
+    let count = |(placed, object): (&Arc<Placed>, &Arc<Object>)| {
+        let error = |source| WorldError::Surface { object: object.name.clone(), source };
+        let spacing = density.of_object(object_area(object));
+        let count = Layout::count(&placed.surface, spacing, options.max_elements).map_err(error)?;
+        Ok(count * placed.sides().count())
+    };
+    let counts: Vec<usize> =
+        world.placed.par_iter().zip(&scene.objects).map(count).collect::<Result<_, WorldError>>()?;
+    Ok(counts.into_iter().sum())
 }
 
 /// Meshes may be finer than a spacing that is given, and light then shows details that large cells would blur.
@@ -113,6 +188,52 @@ pub(super) fn scene_from_object(scene: &Scene, object: &Object) -> DMat4 {
     DMat4::from_translation(-scene.origin) * object.world_from_object
 }
 
+/// What an object is, whatever its elements are.
+struct Shape {
+    surface: Arc<Surface>,
+    see_through: Option<Arc<SeeThrough>>,
+    facets: Vec<Option<Arc<Facets>>>,
+}
+
+impl Shape {
+    fn new(scene: &Scene, object: &Object, resolution: &Resolution) -> Result<Shape, WorldError> {
+        let to_scene = scene_from_object(scene, object);
+        let error = |source| WorldError::Surface { object: object.name.clone(), source };
+        let surface = Surface::build(object, to_scene).map_err(error)?;
+        let see_through = SeeThrough::of(object, &surface, to_scene);
+        let facets = Facets::of_materials(object, &surface, resolution.density.spacing);
+        Ok(Shape { surface: Arc::new(surface), see_through, facets })
+    }
+
+    fn of(placed: &Placed) -> Shape {
+        Shape {
+            surface: Arc::clone(&placed.surface),
+            see_through: placed.see_through.clone(),
+            facets: placed.facets.clone(),
+        }
+    }
+
+    /// With its elements: by light where it is of the scene's file, at the spacing of its size otherwise. What is
+    /// inserted was not there when the light was looked at.
+    fn laid_out(self, object: &Object, resolution: &Resolution, options: &WorldOptions) -> Result<Ready, WorldError> {
+        let Shape { surface, see_through, facets } = self;
+        let error = |source| WorldError::Surface { object: object.name.clone(), source };
+        let spacing = resolution.density.of_object(object_area(object));
+        let sizing = resolution.sizing.as_deref().filter(|_| !object.is_inserted);
+        let (layout, elements) = match sizing {
+            None => Layout::new(&surface, spacing, options.max_elements),
+            Some(sizing) => Layout::by_sizes(&surface, sizing, options.max_elements),
+        }
+        .map_err(error)?;
+        let Elements { positions, normals, areas } = &elements;
+        let albedos = Albedos::new(object, &surface, &layout, areas, options.max_albedo);
+        let coarser = spacing / resolution.density.spacing;
+        let coarse = Coarse::new(positions, normals, areas, COARSE_RADIUS * resolution.smooth * coarser);
+        let (layout, coarse) = (Arc::new(layout), Arc::new(coarse));
+        Ok(Ready { surface, see_through, facets, layout, coarse, elements, albedos })
+    }
+}
+
 /// An object that has no slots yet.
 pub(super) struct Ready {
     pub surface: Arc<Surface>,
@@ -129,22 +250,10 @@ impl Ready {
     pub(super) fn new(
         scene: &Scene,
         object: &Object,
-        resolution: Resolution,
+        resolution: &Resolution,
         options: &WorldOptions,
     ) -> Result<Ready, WorldError> {
-        let error = |source| WorldError::Surface { object: object.name.clone(), source };
-        let to_scene = scene_from_object(scene, object);
-        let surface = Surface::build(object, to_scene).map_err(error)?;
-        let see_through = SeeThrough::of(object, &surface, to_scene);
-        let spacing = resolution.density.of_object(object_area(object));
-        let facets = Facets::of_materials(object, &surface, resolution.density.spacing);
-        let (layout, elements) = Layout::new(&surface, spacing, options.max_elements).map_err(error)?;
-        let Elements { positions, normals, areas } = &elements;
-        let albedos = Albedos::new(object, &surface, &layout, areas, options.max_albedo);
-        let coarser = spacing / resolution.density.spacing;
-        let coarse = Coarse::new(positions, normals, areas, COARSE_RADIUS * resolution.smooth * coarser);
-        let (surface, layout, coarse) = (Arc::new(surface), Arc::new(layout), Arc::new(coarse));
-        Ok(Ready { surface, see_through, facets, layout, coarse, elements, albedos })
+        Shape::new(scene, object, resolution)?.laid_out(object, resolution, options)
     }
 
     /// One that is placed, as it was before it had slots.
@@ -229,14 +338,18 @@ fn give_backs(world: &mut World) -> Result<(), WorldError> {
     for ((object, old), back) in world.scene.objects.iter().zip(&world.placed).zip(seen) {
         placed.push(Arc::new(Ready::again(world, old).place(&mut space, object, old.key, back)));
     }
-    if space.slots().owners.len() > world.options.max_elements {
-        let (what, limit) = ("elements", world.options.max_elements);
-        return Err(WorldError::TooLarge { what, limit, spacing: world.spacing() });
-    }
     // Triangle slots are the same: the tree stays good.
     world.space = space;
     world.placed = placed;
-    Ok(())
+    check_slots(world)
+}
+
+fn check_slots(world: &World) -> Result<(), WorldError> {
+    let (what, limit) = ("elements", world.options.max_elements);
+    match world.slots() > limit {
+        true => Err(WorldError::TooLarge { what, limit, spacing: world.spacing() }),
+        false => Ok(()),
+    }
 }
 
 impl World {

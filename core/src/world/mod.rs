@@ -27,13 +27,14 @@ mod same;
 #[cfg(test)]
 mod sharing;
 mod sight;
+mod sized;
 mod tint;
 mod transition;
 mod trees;
 mod validity;
 
 pub use info::{LightInfo, ObjectInfo};
-pub use options::{Stated, WorldError, WorldOptions};
+pub use options::{Spread, Stated, WorldError, WorldOptions};
 pub use transition::Transition;
 pub use trees::Trees;
 
@@ -56,7 +57,7 @@ use rayon::prelude::*;
 use crate::atlas::{Atlas, AtlasError, AtlasOptions, Item};
 use crate::chunks::Chunks;
 use crate::scene::Scene;
-use crate::space::{Density, Layout, Placement, Space};
+use crate::space::{Density, Layout, Placement, Sizing, Space};
 use crate::surface::{Facets, SeeThrough, Surface};
 
 /// One object, subdivided and placed.
@@ -99,12 +100,14 @@ impl Placed {
 }
 
 /// How far what is computed lies apart, metres.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Resolution {
     /// Elements.
     pub density: Density,
     /// What smooth light is measured by: the spacing, or that of a scene of this size by default where it is finer.
     pub smooth: f32,
+    /// Where the scene's file has its elements closer together or farther apart than that.
+    pub sizing: Option<Arc<Sizing>>,
 }
 
 /// Immutable snapshot of a scene with its elements and trees: a list of parts, which an edit replaces where they
@@ -256,7 +259,8 @@ impl World {
         let sight: usize = self.sight.values().map(|hidden| hidden.memory_bytes()).sum();
         let space = self.space.memory_bytes() + self.validity.memory_bytes() + sight;
         let atlas = self.atlas.as_ref().map_or(0, |atlas| atlas.memory_bytes());
-        space + self.trees.memory_bytes() + objects + self.scene.texture_bytes() + atlas
+        let sizing = self.resolution.sizing.as_ref().map_or(0, |sizing| sizing.memory_bytes());
+        sizing + space + self.trees.memory_bytes() + objects + self.scene.texture_bytes() + atlas
     }
 
     /// Slots whose value is computed, in spatial order within objects.

@@ -15,7 +15,7 @@ impl Draft {
     pub(super) fn add_object(&mut self, object: Arc<Object>) -> Result<(), EditError> {
         let world = &self.world;
         let ready =
-            build::Ready::new(&world.scene, &object, world.resolution, &world.options).map_err(|e| too_large(&e))?;
+            build::Ready::new(&world.scene, &object, &world.resolution, &world.options).map_err(|e| too_large(&e))?;
         let present = self.world.placed.iter().map(|p| &*p.layout).chain([&*ready.layout]);
         build::check_size(present, world.spacing(), &world.options).map_err(|e| too_large(&e))?;
         let key = self.world.next_key;

@@ -26,6 +26,20 @@ pub struct WorldOptions {
     pub max_albedo: f32,
     /// Its objects have places in an atlas, which edits keep ([`World::atlas`](super::World::atlas)).
     pub atlas: Option<AtlasOptions>,
+    /// Whether elements lie equally far apart.
+    pub spread: Spread,
+}
+
+/// How elements are spread over what they lie on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Spread {
+    /// One spacing for all.
+    #[default]
+    Uniform,
+    /// Closer where light needs them, farther apart elsewhere: about as many as at one spacing (within a tenth).
+    ByLight,
+    /// The same, and nowhere farther apart than the spacing: up to half as many more.
+    ByLightWithin,
 }
 
 /// Light whose error is stated, and by which samples are spent.
@@ -60,6 +74,7 @@ impl Default for WorldOptions {
             stated: Stated::Full,
             max_albedo: DEFAULT_MAX_ALBEDO,
             atlas: None,
+            spread: Spread::Uniform,
         }
     }
 }

@@ -269,6 +269,7 @@ fn read_objects(
                 looks,
                 world_from_object,
                 is_hidden: false,
+                is_inserted: false,
                 node: source,
                 asset: None,
             };
