@@ -279,8 +279,9 @@ fn lay_by_sizes(mesh: Mesh) -> (Laid, Sizing) {
     let object = Object::new("thing", mesh, Material::diffuse(Vec3::ONE));
     let surface = Surface::build(&object, DMat4::IDENTITY).unwrap();
     let cone = |at, size| Cone { at, radius: 0.05, size };
-    // The first is on the box, the second on the ellipsoid.
-    let cones = [cone(Vec3::new(1.0, 0.3, 0.1), 0.03), cone(Vec3::new(3.0, 0.0, 0.0), 0.03)];
+    // On the box, in it, and on the ellipsoid.
+    let places = [(Vec3::new(1.0, 0.3, 0.1), 0.03), (Vec3::new(0.2, 0.2, 1.5), 0.1), (Vec3::new(3.0, 0.0, 0.0), 0.03)];
+    let cones = places.map(|(at, size)| cone(at, size));
     let sizing = Sizing::new(&cones, (0.03, 0.3));
     let (layout, elements) = Layout::by_sizes(&surface, &sizing, LIMIT).unwrap();
     (Laid { surface, layout, elements }, sizing)
