@@ -25,7 +25,7 @@ pub use rebake_core::{
     Budget, Canceled, DragBasis, Edit, EditError, EditErrorKind, Focus, Importance, LightMap, NextPart, Observer,
     Offer, Pass, Progress, Relight, Snapshot, TileMode, Tiles,
 };
-pub use rebake_core::{Density, Stated, Transition, World, WorldError, WorldOptions};
+pub use rebake_core::{Density, Spread, Stated, Transition, World, WorldError, WorldOptions};
 
 pub(crate) use self::files::*;
 use crate::config::Limits;
@@ -175,6 +175,8 @@ pub(crate) struct Plan {
     pub(crate) density: Density,
     /// How many there were to be, where that is how the density was chosen.
     pub(crate) elements: Option<usize>,
+    /// How elements are spread.
+    pub(crate) spread: Spread,
     pub(crate) stated: Stated,
     pub(crate) max_albedo: Option<f32>,
     pub(crate) atlas: Option<AtlasOptions>,
@@ -182,10 +184,11 @@ pub(crate) struct Plan {
 
 impl Plan {
     fn options(&self, max_elements: usize, max_triangles: usize) -> WorldOptions {
-        let Plan { density, elements, stated, max_albedo, atlas } = *self;
+        let Plan { density, elements, spread, stated, max_albedo, atlas } = *self;
         WorldOptions {
             spacing: Some(density.spacing),
             elements,
+            spread,
             object_squares: Some(density.object_squares),
             max_elements,
             max_triangles,

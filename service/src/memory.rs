@@ -7,7 +7,7 @@ use rebake_core::edit::Cost;
 use rebake_core::scene::Object;
 use rebake_core::surface::object_area;
 
-use crate::engine::{Density, Edit, Scene};
+use crate::engine::{Density, Edit, Scene, Spread};
 use crate::store::Store;
 use crate::store::assets::Assets;
 use crate::store::layers::LAYER_BYTES;
@@ -16,12 +16,15 @@ use crate::store::scenes::Scenes;
 
 /// Bytes of an element with its two triangles: geometry, trees, the light map and what is kept beside it.
 const BYTES_PER_ELEMENT: f64 = 600.0;
+/// Elements by light that are nowhere farther apart than a spacing, as a multiple of those at that spacing: at most.
+const MORE_WITHIN: f64 = 1.6;
 /// Where the machine does not tell.
 const UNKNOWN_MACHINE: u64 = 8 << 30;
 
 /// Bytes that a scene will take, from the areas of its objects (m²) and its vertices. Rather too much than too little.
-pub(crate) fn estimate(density: Density, areas: &[f64], vertices: usize) -> u64 {
-    to_bytes(density.elements(areas, vertices))
+pub(crate) fn estimate(density: Density, spread: Spread, areas: &[f64], vertices: usize) -> u64 {
+    let more = if spread == Spread::ByLightWithin { MORE_WITHIN } else { 1.0 };
+    to_bytes(more * density.elements(areas, vertices))
 }
 
 /// Bytes that what `edits` insert will take, at the size at which it is inserted.
@@ -32,7 +35,7 @@ pub(crate) fn estimate_inserts(edits: &[Edit], density: Density) -> u64 {
             |object: &Object| Object { world_from_object: *transform * object.world_from_object, ..object.clone() };
         // They become one object.
         let area: f64 = asset.objects.iter().map(|object| object_area(&placed(object))).sum();
-        estimate(density, &[area], vertices(asset))
+        estimate(density, Spread::Uniform, &[area], vertices(asset))
     };
     edits.iter().map(bytes).fold(0, u64::saturating_add)
 }

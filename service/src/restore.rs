@@ -19,6 +19,7 @@ use self::replay::{fits, replay};
 use crate::api::{edit_parse, skies};
 use crate::engine::{self, AtlasOptions, Plan, World};
 use crate::mode::Mode;
+use crate::sizing::StoredSpread;
 use crate::state::{App, Phase};
 use crate::store::StoreError;
 use crate::store::accepted::Head;
@@ -205,6 +206,7 @@ fn build(assets: &Assets, glb: &[u8], record: &SceneRecord) -> Result<World, Sto
     let plan = Plan {
         density: record.density(),
         elements: record.elements,
+        spread: record.spread.into(),
         stated: record.mode.stated(),
         max_albedo: record.max_albedo,
         atlas,
@@ -220,6 +222,7 @@ fn damaged(app: &App, saved: &SavedScene, error: &StoreError) -> SceneEntry {
         spacing: 1.0,
         object_squares: None,
         elements: None,
+        spread: StoredSpread::default(),
         environment: None,
         outside: StoredOutside::default(),
         unit: LightUnit::default(),

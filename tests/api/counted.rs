@@ -30,6 +30,13 @@ async fn elements_are_nearly_as_many_as_asked_for_and_stay_so() {
     kept.push(uploaded(&server, "spacing=0.5").await);
     let (count, warning) = (kept[3]["live_elements"].as_u64().unwrap(), kept[3]["warnings"][0].as_str().unwrap());
     assert!(count > 8 && warning.contains(&format!("{count} elements")) && warning.contains('8'), "{warning}");
+    // By light, as many as asked for; and where nothing is farther apart than a spacing, more than that spacing has.
+    for (query, even) in [("elements=4000", kept[1].clone()), ("spacing=0.5", kept[4].clone())] {
+        let scene = uploaded(&server, &format!("{query}&sizing=light")).await;
+        let [count, even] = [&scene, &even].map(|scene| scene["live_elements"].as_f64().unwrap());
+        assert!((0.9..1.7).contains(&(count / even)) && count != even, "{query}: {count} {even}");
+        kept.push(scene);
+    }
     server.stop().await;
     let server = start(directory.path()).await;
     for scene in &kept {

@@ -152,7 +152,7 @@ fn read_scene(app: &App, glb: &Bytes, options: &Options) -> ApiResult<Read> {
         (None, Some(elements)) => Density::of_elements(&scene, elements).map_err(|error| world_problem(&error))?,
         (None, None) => within(Density::chosen(&areas)),
     };
-    let bytes = memory::estimate(density, &areas, vertices);
+    let bytes = memory::estimate(density, options.spread, &areas, vertices);
     Ok(Read { scene, density, bytes })
 }
 
@@ -161,8 +161,8 @@ fn lay_out(app: &App, Read { scene, density, bytes }: Read, options: &Options) -
     let of_layers = memory::estimate_layers(bytes, layers::count(&scene, &scene.groups));
     let what = if of_layers > 0 { "scene with its layers" } else { "scene" };
     let _promise = app.memory.promise(bytes.saturating_add(of_layers), 0).map_err(|full| memory_problem(what, full))?;
-    let Options { elements, max_albedo, atlas, .. } = *options;
-    let plan = Plan { density, elements, stated: options.mode.stated(), max_albedo, atlas };
+    let Options { elements, spread, max_albedo, atlas, .. } = *options;
+    let plan = Plan { density, elements, spread, stated: options.mode.stated(), max_albedo, atlas };
     let built = app.config.engine.build(scene, &plan.within(&app.config.limits));
     built.map_err(|error| world_problem(&error))
 }

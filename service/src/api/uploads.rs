@@ -136,6 +136,7 @@ pub(super) fn keep(
         spacing: outline.density.spacing,
         object_squares: Some(outline.density.object_squares).filter(|squares| squares.is_finite()),
         elements: options.elements,
+        spread: options.spread.into(),
         environment: options.environment,
         outside: options.outside.clone(),
         unit: options.unit,

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use indicatif::ProgressBar;
 use rebake::api::atlas::AtlasDocument;
-use rebake::{Filter, Mode};
+use rebake::{Filter, Mode, Sizing};
 use rebake_core::atlas::AtlasOptions;
 use rebake_core::export::{
     LightAbout, LightLayout, LitExport, Originals, Precision, lightmap_exr, write_lit_glb, write_page_exr,
@@ -66,6 +66,9 @@ pub(super) struct BakeArgs {
     /// How many elements there are to be, in place of a spacing
     #[arg(long, value_name = "N", conflicts_with = "spacing")]
     elements: Option<NonZeroUsize>,
+    /// How they are spread
+    #[arg(long, value_enum, value_name = "HOW", default_value_t)]
+    sizing: Sizing,
     /// Samples per element
     #[arg(long, value_name = "N", default_value_t = 128, value_parser = clap::value_parser!(u32).range(1..))]
     samples: u32,
@@ -143,6 +146,7 @@ fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
     let options = WorldOptions {
         spacing,
         elements: args.elements.map(NonZeroUsize::get),
+        spread: args.sizing.spread(spacing.is_some()),
         stated,
         atlas,
         ..WorldOptions::default()

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use crate::LightUnit;
+use crate::{LightUnit, Sizing};
 
 /// How to upload a scene. What is absent is the service's to choose.
 #[derive(Clone, Debug, Default)]
@@ -15,6 +15,8 @@ pub struct NewScene {
     pub spacing: Option<f32>,
     /// How many elements there are to be, in place of a spacing.
     pub elements: Option<usize>,
+    /// How they are spread.
+    pub sizing: Option<Sizing>,
     /// `full` or `indirect`.
     pub mode: Option<String>,
     /// Constant radiance from outside.
@@ -54,6 +56,7 @@ impl NewScene {
             ("name", self.name.clone()),
             ("spacing", self.spacing.map(|spacing| spacing.to_string())),
             ("elements", self.elements.map(|elements| elements.to_string())),
+            ("sizing", self.sizing.map(|sizing| sizing.name().to_owned())),
             ("mode", self.mode.clone()),
             ("environment", environment),
             ("sky", self.sky.clone()),

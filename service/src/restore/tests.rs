@@ -33,6 +33,7 @@ fn with_plates() -> TempDir {
             spacing: 0.5,
             object_squares: None,
             elements: None,
+            spread: StoredSpread::default(),
             environment: None,
             outside: StoredOutside::default(),
             unit: LightUnit::default(),

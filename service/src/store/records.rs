@@ -13,6 +13,7 @@ use crate::jobs::JobSpec;
 use crate::jobs::budget::JobBudget;
 use crate::jobs::queue::{Job, JobNumber, SceneNumber};
 use crate::mode::Mode;
+use crate::sizing::StoredSpread;
 use crate::unit::LightUnit;
 
 /// How a scene was uploaded.
@@ -28,6 +29,9 @@ pub(crate) struct SceneRecord {
     /// How many elements the client asked for, where that is how the spacing was chosen.
     #[serde(default)]
     pub(crate) elements: Option<usize>,
+    /// How elements are spread.
+    #[serde(default)]
+    pub(crate) spread: StoredSpread,
     pub(crate) environment: Option<[f32; 3]>,
     #[serde(default)]
     pub(crate) outside: StoredOutside,

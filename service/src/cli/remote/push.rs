@@ -3,6 +3,7 @@
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
+use rebake::Sizing;
 use rebake::client::types::{NewScene, Scene};
 
 use super::super::sky::SkyArgs;
@@ -34,6 +35,9 @@ pub(in super::super) struct PushArgs {
     /// How many elements there are to be, in place of a spacing
     #[arg(long, value_name = "N", conflicts_with = "spacing")]
     elements: Option<NonZeroUsize>,
+    /// How they are spread [default: uniform]
+    #[arg(long, value_enum, value_name = "HOW")]
+    sizing: Option<Sizing>,
     /// What the light map holds: all light, or only what has bounced
     #[arg(long, value_parser = ["full", "indirect"])]
     mode: Option<String>,
@@ -71,6 +75,7 @@ pub(in super::super) async fn push(args: PushArgs) -> anyhow::Result<()> {
         name: args.name.or_else(|| NewScene::name_of(&args.file)),
         spacing: args.spacing.map(|spacing| spacing as f32),
         elements: args.elements.map(NonZeroUsize::get),
+        sizing: args.sizing,
         mode: args.mode,
         environment: args.sky.environment.map(|rgb| rgb.0.map(|x| x as f32)),
         sky,

@@ -100,6 +100,7 @@ mod tests {
     use crate::jobs::budget::JobBudget;
     use crate::jobs::queue::{Job, JobKind, JobState, Outcome, Priority};
     use crate::mode::Mode;
+    use crate::sizing::StoredSpread;
 
     fn job(number: u64, scene: u64) -> JobRecord {
         let budget = JobBudget { samples_per_element: 4, max_seconds: Some(0.1), target_rmse: Some(1e-3) };
@@ -118,6 +119,7 @@ mod tests {
             spacing: 0.1,
             object_squares: None,
             elements: None,
+            spread: StoredSpread::default(),
             environment: None,
             outside: StoredOutside::default(),
             unit: Default::default(),
