@@ -6,10 +6,10 @@ use std::sync::Arc;
 use glam::{DMat4, Vec3};
 use rayon::prelude::*;
 
+use super::by_light::laid_out_by_light;
 use super::emitters::{Emissive, EmissiveTriangle};
 use super::openings::Openings;
 use super::options::Spread;
-use super::sized::{COARSE, Wanted, vertices_of};
 use super::{Coarse, Emitters, Placed, Resolution, Trees, Validity, World, WorldError, WorldOptions, probe};
 use crate::allowed::check_spacing;
 use crate::bvh::{BuildQuality, Bvh};
@@ -19,16 +19,6 @@ use crate::surface::{Facet, Facets, SeeThrough, Surface, facet_area, object_area
 
 /// Edge of the cells that smooth light is evaluated in, in units of [`Resolution::smooth`].
 pub(crate) const COARSE_RADIUS: f32 = 2.5;
-
-/// Sizes by light leave elements at most this many spacings apart.
-const COARSEST: f32 = 2.5;
-
-/// Elements beside the file's vertices where they are never farther apart than a spacing, as a multiple of those that are
-/// a spacing apart.
-const MORE: f64 = 1.5;
-
-/// Elements by light are laid out again where they are not as many as they are to be, up to this part.
-const NEAR: f64 = 0.05;
 
 pub(super) fn build(mut scene: Scene, options: &WorldOptions) -> Result<World, WorldError> {
     let areas = object_areas(&scene);
@@ -53,7 +43,7 @@ pub(super) fn build(mut scene: Scene, options: &WorldOptions) -> Result<World, W
 
 /// The elements of all objects, what rays meet and where light comes from. Where there is a world of the same scene its
 /// elements alone are laid out anew.
-fn laid_out(
+pub(super) fn laid_out(
     scene: Scene,
     resolution: Resolution,
     options: &WorldOptions,
@@ -96,46 +86,6 @@ fn laid_out(
         Some(_) => check_slots(&world)?,
     }
     Ok(world)
-}
-
-/// Elements where light needs them: about as many as a spacing for all would have, and half as many more where that
-/// is not to be exceeded.
-fn laid_out_by_light(scene: Scene, resolution: Resolution, options: &WorldOptions) -> Result<World, WorldError> {
-    let Density { spacing, object_squares } = resolution.density;
-    let coarse = Density { spacing: COARSE * spacing, object_squares: object_squares / f64::from(COARSE * COARSE) };
-    let coarse = Resolution { density: coarse, ..resolution.clone() };
-    let mut world = laid_out(scene.clone(), coarse, options, None)?;
-    let (largest, more) = match options.spread {
-        Spread::ByLightWithin => (spacing, MORE),
-        Spread::ByLight | Spread::Uniform => (COARSEST * spacing, 1.0),
-    };
-    let even = even_count(&world, &scene, resolution.density, options)?;
-    let Some(wanted) = Wanted::new(&world, spacing, largest) else {
-        return laid_out(scene, resolution, options, None);
-    };
-    let vertices = vertices_of(&world);
-    let goal = more * even.saturating_sub(vertices) as f64;
-    let mut by_light = |aim: f64| {
-        let sizing = Some(Arc::new(wanted.sizing(aim)));
-        world = laid_out(scene.clone(), Resolution { sizing, ..resolution.clone() }, options, Some(&world))?;
-        Ok::<_, WorldError>((world.clone(), (world.element_count() - vertices) as f64))
-    };
-    let (first, count) = by_light(goal)?;
-    let is_near = (count - goal).abs() <= NEAR * (goal + vertices as f64);
-    Ok(if is_near { first } else { by_light(goal * goal / count.max(1.0))?.0 })
-}
-
-/// Elements that the objects of a world would have at one density.
-fn even_count(world: &World, scene: &Scene, density: Density, options: &WorldOptions) -> Result<usize, WorldError> {
-    let count = |(placed, object): (&Arc<Placed>, &Arc<Object>)| {
-        let error = |source| WorldError::Surface { object: object.name.clone(), source };
-        let spacing = density.of_object(object_area(object));
-        let count = Layout::count(&placed.surface, spacing, options.max_elements).map_err(error)?;
-        Ok(count * placed.sides().count())
-    };
-    let counts: Vec<usize> =
-        world.placed.par_iter().zip(&scene.objects).map(count).collect::<Result<_, WorldError>>()?;
-    Ok(counts.into_iter().sum())
 }
 
 /// Meshes may be finer than a spacing that is given, and light then shows details that large cells would blur.

@@ -6,6 +6,7 @@ mod apply;
 mod arriving;
 mod build;
 mod buried;
+mod by_light;
 mod check;
 mod choice;
 mod coarse;
