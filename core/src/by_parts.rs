@@ -14,7 +14,7 @@ use crate::random::subseed;
 use crate::rounds::{Estimator, Round};
 use crate::solve::Solvable;
 use crate::transport::{Effort, Work};
-use crate::value::{SIDE_BY_SIDE, with_layers};
+use crate::value::{SIDE_BY_SIDE, side_by_side};
 use crate::world::World;
 
 /// What all rounds of a bake share: the same for the same world, layers and seed, wherever it is made.
@@ -62,7 +62,7 @@ impl PartBaker {
             true => Baker::new(world, &weights, seed),
             false => Baker::new(&world.only_layers(layers, &weights), weights_within(&weights), seed),
         };
-        let prior = with_layers!(layers.len(), first_prior(&baker, &Work::new(observer)))?;
+        let prior = side_by_side!(layers.len(), first_prior(&baker, &Work::new(observer)))?;
         Ok(PartBaker { baker, seed, layers: weights.len(), prior })
     }
 
@@ -75,7 +75,7 @@ impl PartBaker {
         let slots = self.baker.slots();
         let effort = Effort::of_factors(effort, slots).ok_or(PartError::Effort { slots })?;
         let prior = self.prior.with_effort(effort);
-        Ok(with_layers!(self.layers, one_part(self, spec, &prior, &Work::new(observer)))?)
+        Ok(side_by_side!(self.layers, one_part(self, spec, &prior, &Work::new(observer)))?)
     }
 }
 

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use crate::bake::bake_map;
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer};
-use crate::layers::headers_of_layers;
+use crate::layers::{headers_of_layers, less_sure};
 use crate::lightmap::{BLOCK_SLOTS, Layer, LightBlock, LightMap, LightValues, SparseLight, blocks_of};
 use crate::random::subseed;
 use crate::rounds::Goal;
@@ -42,13 +42,17 @@ pub(crate) fn refine_with(
 ) -> Result<Option<Arc<LightMap>>, Canceled> {
     let seed = subseed(seed, 0x4ef1);
     // Lamps that are off take no part where layers are many.
-    let (map, dark) = map.at_strength_of(&world.scene).without_dark(&world.scene);
+    let (map, dark) = map.at_strength_of(&world.scene, &world.scene).without_dark(&world.scene);
     let map = &map;
     // The old map stays until the new one's variance is known.
     let improve = |new: LightMap| {
         let is_known = new.light.variance.iter().any(|v| *v > 0.0);
         let mut refined = if is_known { blend(world, map, new) } else { map.clone() };
         dark.iter().for_each(|(place, layer)| refined.layers.insert(*place, layer.clone()));
+        // What was left of those is in the new rest no more.
+        if let Some(rest) = refined.rest().filter(|_| !dark.is_empty()).map(|rest| less_sure(rest, 1.0)) {
+            refined.layers[0] = rest;
+        }
         refined
     };
     let importance = &Importance::default();

@@ -1,4 +1,5 @@
-//! What many lamps cost: `cargo bench -p rebake-tests --bench many_lights [-- rooms=8x8x4 spacing=0.2 samples=16]`.
+//! What many lamps cost: `cargo bench -p rebake-tests --bench many_lights [-- rooms=8x8x4 spacing=0.2 samples=16]`;
+//! `glb=FILE` writes the building as a file instead.
 //!
 //! A building of rooms with doors between them and a lamp in each, a layer for each lamp. Prints, beside the same without
 //! layers: the time of a bake and of inserting a box, bytes per element (and over those of eight layers that are kept in
@@ -13,6 +14,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use glam::{DMat4, DVec3, Vec3};
+use rebake_core::export::write_scene_glb;
 use rebake_core::scene::{Material, Mesh, Object, Scene};
 use rebake_core::{Budget, Edit, LightMap, Relight, Unobserved, World, WorldOptions, bake, update};
 
@@ -30,6 +32,10 @@ fn main() {
     let size: building::Rooms = sides.try_into().expect("three numbers of rooms");
     let spacing = value("spacing").unwrap_or("0.2").parse().expect("spacing in metres");
     let samples = value("samples").unwrap_or("16").parse().expect("samples per element");
+    if let Some(file) = value("glb") {
+        let bytes = write_scene_glb(&building::building(size)).expect("a building");
+        return std::fs::write(file, bytes).expect("a file that can be written");
+    }
     let budget = Budget { samples_per_element: samples, target_rmse: None };
     let options = WorldOptions { spacing: Some(spacing), ..WorldOptions::default() };
     let plain = World::new(building::building(size), &options).expect("a building");

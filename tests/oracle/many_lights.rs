@@ -146,8 +146,10 @@ fn any_lamp_is_relit_without_a_ray_and_states_what_is_left() {
 #[test]
 fn what_is_inserted_is_lit_by_all_lamps() {
     let world = layered();
-    // A lamp that is dimmed meanwhile is no obstacle.
-    let dim = world.apply(&[relit([&lamp([0, 0, 0])], 0.2)]).expect("a relight");
+    // Lamps that are dimmed, or lose a colour, meanwhile are no obstacle.
+    let green = Relight { light: lamp([2, 2, 1]), color: Some(Vec3::Y), intensity: Some(5.0) };
+    let dim = [relit([&lamp([0, 0, 0])], 0.2), Edit::Relight { lights: vec![green] }];
+    let dim = world.apply(&dim).expect("relights");
     let transition = dim.after.apply(&[chair(2.4, 2.6)]).expect("a chair");
     let maps: Vec<Arc<LightMap>> = (0..8)
         .map(|seed| {
@@ -161,6 +163,55 @@ fn what_is_inserted_is_lit_by_all_lamps() {
     let fine = refine(&transition.after, &maps[0], &budget(64), 5, &Unobserved).expect("nobody cancels");
     check_sum(&transition.after, &fine);
     assert!(fine.estimated_rmse(transition.after.areas()) < maps[0].estimated_rmse(transition.after.areas()));
+}
+
+#[test]
+fn a_lamp_leaves_others_and_things_move_in_one_request() {
+    let plain = plain();
+    let (alone, table) = (lamp([1, 1, 0]), "table 1 1 0".to_owned());
+    // Two lamps share a layer.
+    let groups: Vec<Edit> = each_lamp(&plain.scene).into_iter().skip(2).collect();
+    let world = plain.apply(&groups).expect("groups").after;
+    let shared = lamp([0, 0, 0]);
+    let to_the_next_room = DMat4::from_translation(DVec3::new(4.0, 0.0, 0.0));
+    let away = Edit::Move { object: table, transform: to_the_next_room };
+    let edits = [relit([&shared], 3.0), relit([&alone], 0.5), chair(1.8, 2.6), away];
+    let transition = world.apply(&edits).expect("edits");
+    let maps: Vec<Arc<LightMap>> =
+        (0..8).map(|seed| updated(&transition, &baked(&world, 32, seed), 50 + seed)).collect();
+    for map in &maps {
+        check_sum(&transition.after, map);
+        let inside = is_in(&transition.after, [0, 0, 0]);
+        let layer = map.layer_of(&shared).expect("a layer of its own").light.part(LightPart::Direct).into_owned();
+        let weight = map.layer_weights(&transition.after.scene)
+            [map.layers.iter().position(|layer| layer.name == shared).expect("it is there")];
+        let own = area_mean(&transition.after, &inside, |slot| (layer[slot] * weight).as_dvec3());
+        let all = area_mean(&transition.after, &inside, |slot| map.light.direct[slot].as_dvec3());
+        // The rest comes through doors.
+        assert!(own > 0.7 * all, "{own} of {all}");
+    }
+    check_mean("one request", &transition.after, &maps, 0.005);
+}
+
+#[test]
+fn a_lamp_that_is_moved_often_leaves_nothing_behind() {
+    let world = layered();
+    let kind = LightKind::Point { position: DVec3::new(1.0, 1.0, 1.2), range: None };
+    let bulb = Edit::InsertLight { name: "bulb".into(), kind, color: Vec3::ONE, intensity: 30.0 };
+    let come = world.apply(&[bulb]).expect("a bulb");
+    let mut map = updated(&come, &baked(&world, 16, 1), 2);
+    let mut world = come.after;
+    let before = mean_rest(&world, &map, |_| true);
+    for k in 0..12 {
+        let position = Some(DVec3::new(1.0 + 4.0 * f64::from(k % 3), 1.2, 1.0 + 4.0 * f64::from(k / 3 % 3)));
+        let step = Edit::MoveLight { light: "bulb".into(), position, direction: None, own_layer: true };
+        let moved = world.apply(&[step]).expect("a move");
+        (map, world) = (updated(&moved, &map, 10 + k as u64), moved.after);
+    }
+    let after = mean_rest(&world, &map, |_| true);
+    // Of one lamp among nineteen, at another place.
+    assert!((after - before).abs() < 0.2 * before, "{before} became {after}");
+    check_sum(&world, &map);
 }
 
 #[test]

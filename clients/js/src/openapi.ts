@@ -212,7 +212,7 @@ export interface Focus {
 
 /**
  * Lets lights share a layer of the light map: relighting all of them alike needs no rays, and costs the memory of one
- * layer. A scene has at most 15 such groups.
+ * layer. A scene has at most 1022 such groups.
  */
 export interface GroupLights {
   op: "group_lights";

@@ -27,7 +27,7 @@ pub const BYTES_PER_SLOT: usize = 512;
 const CHUNK: usize = 4096;
 
 /// A light map whose noise is averaged away where it may be: direct and indirect light, and those of every layer, with the
-/// same weights, so that parts and layers add up as they did; of many layers, the rest alone takes the change. The mean of all light by area stays as it is, and light that
+/// same weights, so that parts and layers add up as they did; of many layers, the rest alone takes the change, and may be negative. The mean of all light by area stays as it is, and light that
 /// is nowhere negative stays so. The variance is the expected squared error of what is returned: that of the means,
 /// and, for what averages blur, the square of what averaging once more would change. Elements of which `is_known` says no,
 /// and those without variance, keep what they have.

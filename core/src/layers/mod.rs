@@ -31,7 +31,7 @@ pub(crate) use apart::{Apart, Computed, Old};
 pub(crate) use plan::{Piece, Plan, groups_of, headers_of_layers, is_new, moved_layers, wants_layers};
 pub(crate) use regroup::{Pieces, renamed};
 pub use rest::REST_LAYER;
-pub(crate) use rest::{add_square_of_rest, at_strength_of, off_by, thin, thinned};
+pub(crate) use rest::{add_square_of_rest, at_present, at_strength_of, less_sure, off_by, thin, thinned};
 pub(crate) use stack::{Stack, weights_within};
 
 /// Of more layers than are carried side by side, a block is kept where any of its slots has more than this part of all
@@ -47,11 +47,15 @@ const SAME_STRENGTH: f32 = 1e-6;
 /// What a layer weighs in a scene, per channel: the factor from all its lights' references to their strengths. None
 /// where they differ in it. Lights that the scene does not have do not count.
 pub(crate) fn weight_of(lights: &[LayerLight], scene: &Scene) -> Option<Vec3> {
+    weight_of_changes(lights.iter().filter_map(|light| Some((light.reference, strength_of(scene, &light.name)?))))
+}
+
+/// The factor, per channel, from the first to the second of all pairs; none where they differ in it.
+fn weight_of_changes(changes: impl Iterator<Item = (Vec3, Vec3)>) -> Option<Vec3> {
     let mut weight = [None::<f32>; 3];
-    for light in lights {
-        let Some(strength) = strength_of(scene, &light.name) else { continue };
+    for (reference, strength) in changes {
         for (channel, known) in weight.iter_mut().enumerate() {
-            let (reference, now) = (light.reference[channel], strength[channel]);
+            let (reference, now) = (reference[channel], strength[channel]);
             match *known {
                 _ if reference == 0.0 && now == 0.0 => {}
                 _ if reference == 0.0 => return None,

@@ -7,6 +7,7 @@ use glam::Vec3;
 use super::rest::with_rest;
 use super::{
     LayerHeader, LayerLight, MAX_GROUPS, MAX_LAYERS, REST_LAYER, SHARED_LAYER, SIDE_BY_SIDE, strength_of, weight_of,
+    weight_of_changes,
 };
 use crate::lightmap::LightMap;
 use crate::scene::Scene;
@@ -114,7 +115,7 @@ impl Plan {
         let old = headers_of(map, before);
         let mut quota = Quota::new(&old);
         for (index, header) in old.iter().enumerate() {
-            if header.is_rest() {
+            if header.is_rest() && !map.layers.is_empty() {
                 let pieces = vec![(Piece::Old(index), Vec3::ONE)];
                 plan.regrouped.push(Planned { header: header.clone(), pieces });
                 continue;
@@ -183,7 +184,8 @@ impl Plan {
             Target::Stays => from.name.clone(),
             Target::Group(name) | Target::Alone(name) => name.clone(),
         };
-        let same_group = |p: &&mut Planned| matches!(target, Target::Group(_)) && p.header.name == name;
+        let is_group = matches!(target, Target::Group(_));
+        let same_group = |p: &&mut Planned| is_group && p.header.name == name && !p.header.is_rest();
         let Some(there) = self.regrouped.iter_mut().find(same_group) else {
             let name = self.free_name(name);
             self.regrouped.push(Planned { header: LayerHeader { name, lights }, pieces });
@@ -199,7 +201,10 @@ impl Plan {
 
     fn free_name(&self, name: String) -> String {
         let mut free = name;
-        while self.regrouped.iter().any(|p| p.header.name == free) {
+        let is_taken = |name: &String| {
+            self.regrouped.iter().any(|p| p.header.name == *name) || self.after.iter().any(|(h, _)| h.name == *name)
+        };
+        while is_taken(&free) {
             free.push('\'');
         }
         free
@@ -246,7 +251,7 @@ impl Plan {
     /// first. Answers the layer that it joined, which has to be held at present strength then.
     fn add_new(&mut self, after: &Scene, name: &str, strength: Vec3) -> Option<usize> {
         let group = after.groups.get(name);
-        let mut place = self.after.iter().position(|(header, _)| Some(&header.name) == group);
+        let mut place = self.after.iter().position(|(h, _)| Some(&h.name) == group && !h.is_rest());
         if place.is_none() && self.after.len() >= MAX_LAYERS - 1 {
             place = self.after.iter().position(|(header, _)| !header.is_rest());
         }
@@ -340,12 +345,28 @@ fn targets_of(header: &LayerHeader, before: &Scene, after: &Scene, quota: &mut Q
 /// Of lights that may change unlike one another, the names of those that stay together: those of the most common
 /// factor, and rather those that do not change. Lights that go stay with them.
 fn lights_that_keep(lights: &[&LayerLight], before: &Scene, after: &Scene) -> BTreeSet<String> {
+    let strengths = |scene: &Scene| -> BTreeMap<String, Vec3> {
+        scene.lights.iter().rev().map(|light| (light.name.clone(), light.strength())).collect()
+    };
+    let (then, now) = (strengths(before), strengths(after));
+    let change = |light: &LayerLight| now.get(&light.name).map(|now| (light.reference, *now));
     let fits = |light: &LayerLight, to: &LayerLight| {
-        strength_of(after, &light.name).is_none() || weight_of(&[light.clone(), to.clone()], after).is_some()
+        change(light).is_none_or(|light| weight_of_changes([Some(light), change(to)].into_iter().flatten()).is_some())
     };
     let fitting = |to: &LayerLight| lights.iter().filter(|light| fits(light, to)).count();
-    let is_steady = |light: &LayerLight| strength_of(before, &light.name) == strength_of(after, &light.name);
-    let candidates = lights.iter().filter(|light| strength_of(after, &light.name).is_some());
+    let is_steady = |light: &LayerLight| then.get(&light.name) == now.get(&light.name);
+    let candidates = lights.iter().filter(|light| now.contains_key(&light.name));
+    // The same change has the same lights: each is looked at once.
+    let mut seen: Vec<(LayerLight, usize)> = Vec::new();
+    let mut fitting = |to: &LayerLight| {
+        let same = |(other, _): &&(LayerLight, usize)| change(other) == change(to);
+        if let Some((_, count)) = seen.iter().find(same) {
+            return *count;
+        }
+        let count = fitting(to);
+        seen.push((to.clone(), count));
+        count
+    };
     let best = candidates.max_by_key(|light| (fitting(light), is_steady(light)));
     let kept = lights.iter().filter(|light| best.is_none_or(|best| fits(light, best)));
     kept.map(|light| light.name.clone()).collect()

@@ -83,7 +83,7 @@ impl LightValues {
     }
 
     /// Adds `factor` times independent light.
-    fn add_scaled(&mut self, light: AnyLight, factor: Vec3) {
+    pub(crate) fn add_scaled(&mut self, light: AnyLight, factor: Vec3) {
         let square = factor.length_squared() / 3.0;
         let blocks = self.direct.chunks_mut(BLOCK_SLOTS).zip(self.indirect.chunks_mut(BLOCK_SLOTS));
         for (index, ((direct, indirect), variance)) in blocks.zip(self.variance.chunks_mut(BLOCK_SLOTS)).enumerate() {

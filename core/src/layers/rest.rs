@@ -46,7 +46,7 @@ pub(crate) fn at_strength_of(headers: &[LayerHeader], scene: &Scene) -> Vec<Laye
 
 /// A layer at the strength that its lights have in a scene. Those that are off, and those that have changed unlike one
 /// another, stay as they are.
-fn at_present(layer: &Arc<Layer>, scene: &Scene) -> Arc<Layer> {
+pub(crate) fn at_present(layer: &Arc<Layer>, scene: &Scene) -> Arc<Layer> {
     let weight = weight_of(&layer.lights, scene).unwrap_or(Vec3::ONE);
     let factor = Vec3::select(weight.cmpgt(Vec3::ZERO), weight, Vec3::ONE);
     if factor == Vec3::ONE {
@@ -58,20 +58,26 @@ fn at_present(layer: &Arc<Layer>, scene: &Scene) -> Arc<Layer> {
 }
 
 impl LightMap {
-    /// This map with its layers at the strength of a scene, and with what the rest is off by from then on in its variance;
-    /// itself where it has no rest.
-    pub(crate) fn at_strength_of(&self, scene: &Scene) -> LightMap {
+    /// This map with its layers at the strength of a scene, and with what the rest is off by from then on in its variance,
+    /// and in that of all light as far as that does not count it already, since the scene `before`; itself where it has no
+    /// rest.
+    pub(crate) fn at_strength_of(&self, scene: &Scene, before: &Scene) -> LightMap {
         let Some(rest) = self.rest() else { return self.clone() };
         // Those that are off stay as they are, and so does what is stated of them.
-        let on = self.layer_weights(scene).into_iter().map(|w| Vec3::select(w.cmpgt(Vec3::ZERO), w, Vec3::ONE));
-        let off = off_by(&self.layers, &on.collect::<Vec<Vec3>>());
+        let on = |scene: &Scene| -> Vec<Vec3> {
+            let weights = self.layer_weights(scene).into_iter();
+            weights.map(|w| Vec3::select(w.cmpgt(Vec3::ZERO), w, Vec3::ONE)).collect()
+        };
+        let (off, counted) = (off_by(&self.layers, &on(scene)), off_by(&self.layers, &on(before)));
+        let mut light = self.light.clone();
+        if off > counted {
+            add_square_of_rest(&mut light.variance, &rest.light, (off * off - counted * counted).sqrt());
+        }
         let mut layers: Vec<Arc<Layer>> = self.layers.par_iter().map(|layer| at_present(layer, scene)).collect();
         if off > 0.0 {
-            let mut light = rest.light.to_dense();
-            add_square_of_rest(&mut light.variance, &rest.light, off);
-            layers[0] = Arc::new(Layer { name: rest.name.clone(), lights: Vec::new(), light: light.into() });
+            layers[0] = less_sure(rest, off);
         }
-        LightMap { light: self.light.clone(), layers }
+        LightMap { light, layers }
     }
 
     /// This map without the layers that weigh nothing in a scene, and those, each with its place; where it has a rest.
@@ -94,13 +100,21 @@ pub(crate) fn off_by(layers: &[Arc<Layer>], weights: &[Vec3]) -> f32 {
     own.map(|(_, weight)| (*weight - Vec3::ONE).abs().max_element()).fold(0.0, f32::max)
 }
 
+/// The rest, with so much of itself in its variance.
+pub(crate) fn less_sure(rest: &Layer, part: f32) -> Arc<Layer> {
+    let mut light = rest.light.to_dense();
+    add_square_of_rest(&mut light.variance, &rest.light, part);
+    Arc::new(Layer { name: rest.name.clone(), lights: Vec::new(), light: light.into() })
+}
+
 /// Adds the square of so much of the rest, mean over RGB, to variances per slot.
 pub(crate) fn add_square_of_rest(variance: &mut [f32], rest: &SparseLight, part: f32) {
     let factor = part * part / 3.0;
     for (index, block) in rest.blocks() {
         let variances = variance[index * BLOCK_SLOTS..].iter_mut();
         let light = block.direct.iter().zip(block.indirect);
-        variances.zip(light).for_each(|(v, (d, i))| *v += factor * (*d + *i).length_squared());
+        // Edits leave light of both signs in it.
+        variances.zip(light).for_each(|(v, (d, i))| *v += factor * (d.abs() + i.abs()).length_squared());
     }
 }
 
@@ -111,11 +125,7 @@ pub(crate) fn thinned(layers: Vec<Arc<Layer>>, which: impl Fn(usize) -> bool, sc
     let (mut light, sizes) = (rest.light.to_dense(), sizes(&layers, scene));
     let name = rest.name.clone();
     let thin = |(k, layer): (usize, &Arc<Layer>)| match k > 0 && which(k) {
-        true => {
-            let layer = at_present(layer, scene);
-            let weight = weight_of(&layer.lights, scene).unwrap_or(Vec3::ONE);
-            thin(&layer, weight, &sizes, &mut light)
-        }
+        true => thin(&at_present(layer, scene), scene, &sizes, &mut light),
         false => layer.clone(),
     };
     let mut layers: Vec<Arc<Layer>> = layers.iter().enumerate().map(thin).collect();
@@ -140,9 +150,10 @@ fn size_of_slot(block: &LightBlock, slot: usize, weight: Vec3) -> f32 {
     (block.direct[slot] * weight).abs().max_element() + (block.indirect[slot] * weight).abs().max_element()
 }
 
-/// A layer without the blocks in which it matters little, at the strength that it is held at, beside light of these sizes
-/// per slot: `weight` times that is added to `rest`.
-pub(crate) fn thin(layer: &Arc<Layer>, weight: Vec3, sizes: &[f32], rest: &mut LightValues) -> Arc<Layer> {
+/// A layer that is at present strength, or dark, without the blocks in which it matters little beside light of these sizes
+/// per slot: what it weighs of that is added to `rest`.
+pub(crate) fn thin(layer: &Arc<Layer>, scene: &Scene, sizes: &[f32], rest: &mut LightValues) -> Arc<Layer> {
+    let weight = weight_of(&layer.lights, scene).unwrap_or(Vec3::ONE);
     let matters = |index: usize, block: &LightBlock| {
         let sizes = &sizes[index * BLOCK_SLOTS..][..block.direct.len()];
         sizes.iter().enumerate().any(|(k, size)| size_of_slot(block, k, Vec3::ONE) > LEAST * size)

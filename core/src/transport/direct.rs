@@ -51,13 +51,15 @@ impl DirectLight {
         draws: &mut Draws,
         rays: &mut u64,
     ) -> V {
-        let (mut sum, list) = (V::default(), world.emitters.list.len());
-        let mut first = 0;
-        if let Some(of_many) = self.of_many {
-            sum = estimate_many(world, (point, n), of_many, factor, draws, rays);
-            first = list;
-        }
-        for (emitter, &count) in world.emitters.all().zip(&self.samples).skip(first) {
+        let mut sum = match self.of_many {
+            Some(of_many) => estimate_many(world, (point, n), of_many, factor, draws, rays),
+            None => V::default(),
+        };
+        for (emitter, &count) in world.emitters.all().zip(&self.samples) {
+            // Of many, those that have a place are done.
+            if self.of_many.is_some() && emitter.sphere().is_some() {
+                continue;
+            }
             if count == 0 || emitter.is_below_horizon(point, n) {
                 continue;
             }
@@ -73,7 +75,7 @@ impl DirectLight {
     }
 }
 
-/// As [`DirectLight::estimate`], of many lights that are aimed at: each gets samples by what it could bring there, and
+/// As [`DirectLight::estimate`], of many lights that have a place: each gets samples by what it could bring there, and
 /// one that is to have less than one gets one as often as that says.
 fn estimate_many<V: Value>(
     world: &World,
@@ -83,10 +85,10 @@ fn estimate_many<V: Value>(
     draws: &mut Draws,
     rays: &mut u64,
 ) -> V {
-    let list = &world.emitters.list;
-    let total: f32 = list.iter().map(|emitter| emitter.weight_at(point, n)).sum();
+    let list = || world.emitters.list.iter().filter(|emitter| emitter.sphere().is_some());
+    let total: f32 = list().map(|emitter| emitter.weight_at(point, n)).sum();
     let mut sum = V::default();
-    for emitter in list {
+    for emitter in list() {
         let weight = emitter.weight_at(point, n);
         if weight <= 0.0 {
             continue;

@@ -12,15 +12,16 @@ use crate::bake::bake_layers;
 use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer, Pass, Progress, Snapshot};
 use crate::layers::{
-    Apart, Computed, Layer, LayerHeader, Old, Piece, Pieces, Plan, at_strength_of, correlation, is_new, renamed,
-    thinned, wants_layers, weight_of, weights_of, weights_within, whole, whole_of, whole_with,
+    Apart, Computed, Layer, LayerHeader, Old, Piece, Pieces, Plan, add_square_of_rest, at_strength_of, correlation,
+    is_new, less_sure, renamed, thinned, wants_layers, weight_of, weights_of, weights_within, whole, whole_of,
+    whole_with,
 };
 use crate::lightmap::{AnyLight, LightMap, SparseLight};
 use crate::random::subseed;
 use crate::rounds::Goal;
 use crate::solve::Solvable;
 use crate::transport::Work;
-use crate::value::{SIDE_BY_SIDE, with_layers};
+use crate::value::{SIDE_BY_SIDE, side_by_side};
 use crate::world::{Transition, World};
 
 /// Brings a map with layers up to date, or gives a map layers; none where the edit has no need of any.
@@ -38,7 +39,7 @@ pub(crate) fn update_layers(
     // What is carried where it matters only is compared with all light there: at present strength.
     let needs_all = transition.changes_surfaces() || plan.changed.len() > SIDE_BY_SIDE;
     if needs_all && map.rest().is_some() {
-        let map = map.at_strength_of(after);
+        let map = map.at_strength_of(after, before);
         let plan = Plan::new(before, after, &map);
         return Some(LayersUpdate::new(transition, &map, goal, work, plan, needs_all).run());
     }
@@ -98,7 +99,7 @@ impl<'a> LayersUpdate<'a> {
         if changed.is_empty() {
             let (before, after) = (&self.transition.before.scene, &self.transition.after.scene);
             let layers = thinned(self.unchanged(&regrouped), |_| gets_rest, after);
-            let map = Arc::new(whole_of(layers, self.map, before, after));
+            let map = Arc::new(self.without_gone(whole_of(layers, self.map, before, after), false));
             announce(&map, &self.transition.after, self.work.observer());
             return Ok(Some(Updated { map, baked: false }));
         }
@@ -144,7 +145,7 @@ impl<'a> LayersUpdate<'a> {
             let variance = pieces.variance(&self.weights, self.correlation);
             last.replace(computed.layers);
             let weights = self.weights_of(&layers);
-            whole_with(layers, &weights, variance)
+            self.without_gone(whole_with(layers, &weights, variance), false)
         };
         let quiet = Quiet(self.work.observer());
         let quiet = Work::new(&quiet);
@@ -172,6 +173,17 @@ impl<'a> LayersUpdate<'a> {
         layers.iter().map(weight).collect()
     }
 
+    /// A map after the edit. Of layers that go with it (or `more`) something is left in the rest: that is stated.
+    pub(super) fn without_gone(&self, mut map: LightMap, more: bool) -> LightMap {
+        let stays = |index: usize| self.plan.after.iter().any(|(_, origin)| *origin == Some(index));
+        let goes = more || (0..self.plan.regrouped.len()).any(|index| !stays(index));
+        if let Some(rest) = map.rest().filter(|_| goes && self.map.rest().is_some()).cloned() {
+            add_square_of_rest(&mut map.light.variance, &rest.light, 1.0);
+            map.layers[0] = less_sure(&rest, 1.0);
+        }
+        map
+    }
+
     /// Whether a layer of the new map is one of the old.
     fn is_as_before(&self, place: usize) -> bool {
         let pieces = self.plan.after[place].1.map(|index| &*self.plan.regrouped[index].pieces);
@@ -197,15 +209,18 @@ impl<'a> LayersUpdate<'a> {
             let is_new = |k: usize| self.map.rest().is_none() || changed.contains(&k);
             let layers = thinned(layers, is_new, &self.transition.after.scene);
             let weights = self.weights_of(&layers);
-            match computed.variance.filter(|_| changed.len() == self.plan.after.len()) {
+            let map = match computed.variance.filter(|_| changed.len() == self.plan.after.len()) {
                 Some(variance) => whole_with(layers, &weights, variance),
                 None => whole(layers, &weights, self.correlation),
-            }
+            };
+            self.without_gone(map, false)
         };
         let headers: Vec<LayerHeader> = changed.iter().map(|&k| self.plan.after[k].0.clone()).collect();
         let Transition { before, after, .. } = self.transition;
         let are_new = headers.iter().all(|header| is_new(header, &before.scene, &after.scene));
-        if !self.transition.changes_surfaces() && are_new {
+        // What the rest has of a lamp at its old place is taken out of it by way of the change.
+        let is_in_rest = |k: &usize| self.map.rest().is_some() && self.plan.after[*k].1.is_some();
+        if !self.transition.changes_surfaces() && are_new && !changed.iter().any(is_in_rest) {
             let map = bake_layers(after, &headers, &finish, self.goal, self.work)?;
             return Ok(map.map(|map| Updated { map, baked: false }));
         }
@@ -224,7 +239,7 @@ impl<'a> LayersUpdate<'a> {
         let old = origins.into_iter().map(|origin| origin.map_or_else(black, |index| regrouped[index].clone()));
         let guides = stage.after.guides(&own);
         let change = Change { transition: &stage, headers, weights: own, guides, old: old.collect() };
-        with_layers!(changed.len(), run_change(&change, self.transition, self.map, self.goal, self.work, &finish))
+        side_by_side!(changed.len(), run_change(&change, self.transition, self.map, self.goal, self.work, &finish))
     }
 }
 

@@ -11,13 +11,13 @@ use rayon::prelude::*;
 use super::Updated;
 use super::layers::{Change, LayersUpdate, run_change};
 use crate::job::Canceled;
-use crate::layers::{Computed, Layer, LayerHeader, add_square_of_rest, off_by, renamed, thin};
+use crate::layers::{Computed, Layer, LayerHeader, add_square_of_rest, at_present, off_by, renamed, thin};
 use crate::lightmap::{AnyLight, BLOCK_SLOTS, LightMap, LightValues, SIDE_BY_SIDE};
-use crate::value::with_layers;
+use crate::value::side_by_side;
 use crate::world::{Emitters, Transition};
 
-/// Lamps near an edit that are told apart, unless more of them change themselves.
-const NEAR_LAMPS: usize = 7;
+/// Of the light near an edit, so much is that of lamps which are told apart, where there are not too many.
+const NEAR_SHARE: f32 = 0.95;
 
 /// Elements within this many spacings of what changed tell which lamps matter.
 const ZONE: f32 = 5.0;
@@ -62,8 +62,9 @@ impl LayersUpdate<'_> {
             others.map(|k| (light(&k), k)).filter(|(light, _)| *light > 0.0).collect();
         by_light.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
         // What is off is in no sum of others, and has to be told apart.
-        let (dark, lit): (Vec<_>, Vec<_>) = by_light.into_iter().map(|(_, k)| k).partition(|&k| self.is_dark(k));
-        near.extend(lit.into_iter().take(NEAR_LAMPS.saturating_sub(near.len())));
+        let (dark, lit): (Vec<_>, Vec<_>) = by_light.into_iter().partition(|&(_, k)| self.is_dark(k));
+        let dark: Vec<usize> = dark.into_iter().map(|(_, k)| k).collect();
+        near.extend(brightest(&lit, SIDE_BY_SIDE - 1 - near.len()));
         let room = (SIDE_BY_SIDE - 1).saturating_sub(near.len()).min(dark.len());
         let (own, lost) = dark.split_at(room);
         near.extend(own);
@@ -81,12 +82,18 @@ impl LayersUpdate<'_> {
         let Near { own: near, lost } = near;
         let other = |k: usize| {
             let layer = renamed(&regrouped[origin(k)?], &self.plan.after[k].0);
-            (!near.contains(&k) && !lost.contains(&k)).then_some(Other { place: k, layer, is_dark: self.is_dark(k) })
+            let weight = self.weights[k];
+            (!near.contains(&k) && !lost.contains(&k)).then_some(Other { place: k, layer, weight })
         };
         let others: Vec<Other> = (1..self.plan.after.len()).filter_map(other).collect();
         let rest = origin(0).map(|index| regrouped[index].clone()).unwrap_or_default();
         let together = sum_of(&rest, &others);
-        let lights = others.iter().filter(|other| !other.is_dark).flat_map(|other| other.layer.lights.clone());
+        let at_present = |other: &Other| {
+            let mut lights = other.layer.lights.clone();
+            lights.iter_mut().for_each(|light| light.reference *= other.weight);
+            lights
+        };
+        let lights = others.iter().filter(|other| other.weight != Vec3::ZERO).flat_map(at_present);
         let header = LayerHeader { name: rest.name.clone(), lights: lights.collect() };
         let old_header = |&k: &usize| origin(k).map(|index| self.plan.regrouped[index].header.clone());
         let old_headers = near.iter().map(|k| old_header(k).unwrap_or_default());
@@ -103,23 +110,27 @@ impl LayersUpdate<'_> {
         let black = || Arc::new(Layer { light: LightValues::black(before.slots()).into(), ..Layer::default() });
         let old = near.iter().map(|&k| origin(k).map_or_else(black, |index| regrouped[index].clone()));
         let old: Vec<Arc<Layer>> = std::iter::once(Arc::new(Layer { light, ..Layer::default() })).chain(old).collect();
-        let parting = Parting::new(self.transition, &rest, &together, others);
+        let parting = Parting::new(self.transition, &rest, &together, others, !lost.is_empty());
         let finish = |computed: Computed| self.assembled(near, &parting, computed, &own);
         let guides = stage.after.guides(&own);
         let change = Change { transition: &stage, headers, weights: own.clone(), guides, old };
-        let updated = with_layers!(
+        let updated = side_by_side!(
             change.weights.len(),
             run_change(&change, self.transition, self.map, self.goal, self.work, &finish)
         )?;
         // Where all was lit anew, layers that were not told apart are those of another scene.
-        if updated.as_ref().is_some_and(|updated| updated.baked) { self.bake_anew() } else { Ok(updated) }
+        match updated {
+            Some(updated) if updated.baked => Ok(Some(self.bake_anew()?.unwrap_or(updated))),
+            updated => Ok(updated),
+        }
     }
 
     /// The map of what was computed.
     fn assembled(&self, near: &[usize], parting: &Parting, computed: Computed, weights: &[Vec3]) -> LightMap {
         let slots = self.transition.after.slots();
         let mut light = LightValues::black(slots);
-        light.variance = computed.variance.unwrap_or_else(|| vec![0.0; slots]);
+        // Of others alone, it is theirs.
+        light.variance = computed.variance.unwrap_or_else(|| computed.layers[0].light.variance().into_owned());
         for (layer, weight) in computed.layers.iter().zip(weights) {
             light.add_light(AnyLight::Sparse(&layer.light), *weight);
         }
@@ -127,8 +138,9 @@ impl LayersUpdate<'_> {
         let sizes: Vec<f32> = (0..slots).into_par_iter().with_min_len(CHUNK).map(size).collect();
         let mut rest = parting.rest(&computed.layers[0].light.to_dense());
         let mut layers: Vec<Option<Arc<Layer>>> = vec![None; self.plan.after.len()];
-        for ((&k, layer), weight) in near.iter().zip(&computed.layers[1..]).zip(&weights[1..]) {
-            layers[k] = Some(thin(layer, *weight, &sizes, &mut rest));
+        let scene = &self.transition.after.scene;
+        for (&k, layer) in near.iter().zip(&computed.layers[1..]) {
+            layers[k] = Some(thin(&at_present(layer, scene), scene, &sizes, &mut rest));
         }
         parting.kept.iter().for_each(|other| layers[other.place] = Some(other.layer.clone()));
         let name = self.plan.after[0].0.name.clone();
@@ -138,8 +150,15 @@ impl LayersUpdate<'_> {
         if off > 0.0 {
             add_square_of_rest(&mut light.variance, &layers[0].light, off);
         }
-        LightMap { light, layers }
+        self.without_gone(LightMap { light, layers }, parting.loses_layers)
     }
+}
+
+/// The first of some layers, the brightest first, that have most of their light, and no more than so many.
+fn brightest(layers: &[(f32, usize)], most: usize) -> impl Iterator<Item = usize> {
+    let wanted = NEAR_SHARE * layers.iter().map(|(light, _)| light).sum::<f32>();
+    let before = layers.iter().scan(0.0, |sum, (light, k)| Some((std::mem::replace(sum, *sum + light), *k)));
+    before.take(most).take_while(move |(before, _)| *before < wanted).map(|(_, k)| k)
 }
 
 /// A layer that is not told apart.
@@ -147,42 +166,44 @@ struct Other {
     /// In the plan.
     place: usize,
     layer: Arc<Layer>,
-    /// Its lamps are off.
-    is_dark: bool,
+    weight: Vec3,
 }
 
 /// What the rest is, of light of all that is not told apart.
 struct Parting {
-    /// Layers that are not told apart, in the slots after the edit.
+    /// Layers that are not told apart, in the slots after the edit. What came or moved is in none of them.
     kept: Vec<Other>,
-    /// The rest before the edit.
+    /// The rest before the edit; black where all light is new.
     rest: LightValues,
     /// With the light of those layers.
     together: LightValues,
-    /// Slots that get all their light anew, and what the layers that are kept have there.
-    new_slots: Vec<(u32, LightValues)>,
+    /// Of some layers nothing is kept.
+    loses_layers: bool,
 }
 
 impl Parting {
-    fn new(transition: &Transition, rest: &Layer, together: &LightValues, others: Vec<Other>) -> Parting {
-        let carried = |light: &LightValues| LightValues {
-            direct: transition.carry(&light.direct),
-            indirect: transition.carry(&light.indirect),
-            variance: transition.carry(&light.variance),
+    fn new(
+        transition: &Transition,
+        rest: &Layer,
+        together: &LightValues,
+        others: Vec<Other>,
+        loses_layers: bool,
+    ) -> Parting {
+        let mut is_new = vec![false; transition.after.slots()];
+        transition.new_slots.iter().for_each(|&slot| is_new[slot as usize] = true);
+        let carried = |light: &LightValues| {
+            let carried = LightValues {
+                direct: transition.carry(&light.direct),
+                indirect: transition.carry(&light.indirect),
+                variance: transition.carry(&light.variance),
+            };
+            let mut carried = carried.without(&is_new);
+            transition.new_slots.iter().for_each(|&slot| carried.variance[slot as usize] = 0.0);
+            carried
         };
-        let carry = |other: Other| Other { layer: transition.carried_layer(&other.layer), ..other };
-        let kept: Vec<Other> = others.into_par_iter().map(carry).collect();
-        let at = |&slot: &u32| {
-            let mut sum = LightValues::black(1);
-            for other in kept.iter().filter(|other| !other.is_dark) {
-                let (direct, indirect) = other.layer.light.at(slot as usize);
-                sum.direct[0] += direct;
-                sum.indirect[0] += indirect;
-            }
-            (slot, sum)
-        };
-        let new_slots = transition.new_slots.par_iter().map(at).collect();
-        Parting { rest: carried(&rest.light.to_dense()), together: carried(together), new_slots, kept }
+        let carry = |other: Other| Other { layer: transition.carried_without(&other.layer, &is_new), ..other };
+        let kept = others.into_par_iter().map(carry).collect();
+        Parting { rest: carried(&rest.light.to_dense()), together: carried(together), kept, loses_layers }
     }
 
     /// Of `new`, the light after the edit of all that is not told apart.
@@ -193,31 +214,19 @@ impl Parting {
         };
         let (rest, old) = (&self.rest, &self.together);
         let variance = rest.variance.iter().zip(&old.variance).zip(&new.variance);
-        let mut found = LightValues {
+        LightValues {
             direct: light(&rest.direct, &old.direct, &new.direct),
             indirect: light(&rest.indirect, &old.indirect, &new.indirect),
             variance: variance.map(|((rest, old), new)| (rest + (new - old)).max(0.0)).collect(),
-        };
-        for (slot, kept) in &self.new_slots {
-            let slot = *slot as usize;
-            found.direct[slot] = new.direct[slot] - kept.direct[0];
-            found.indirect[slot] = new.indirect[slot] - kept.indirect[0];
-            found.variance[slot] = new.variance[slot];
         }
-        found
     }
 }
 
-/// The sum of layers, which are at present strength or dark.
+/// The sum of layers, each with its weight.
 fn sum_of(rest: &Layer, others: &[Other]) -> LightValues {
     let mut sum = rest.light.to_dense();
-    for other in others.iter().filter(|other| !other.is_dark) {
-        for (index, block) in other.layer.light.blocks() {
-            let own = index * BLOCK_SLOTS..index * BLOCK_SLOTS + block.direct.len();
-            sum.direct[own.clone()].iter_mut().zip(block.direct).for_each(|(sum, light)| *sum += *light);
-            sum.indirect[own.clone()].iter_mut().zip(block.indirect).for_each(|(sum, light)| *sum += *light);
-            sum.variance[own].iter_mut().zip(block.variance).for_each(|(sum, variance)| *sum += *variance);
-        }
+    for Other { layer, weight, .. } in others.iter().filter(|other| other.weight != Vec3::ZERO) {
+        sum.add_scaled(AnyLight::Sparse(&layer.light), *weight);
     }
     sum
 }
@@ -239,7 +248,8 @@ fn zone(transition: &Transition) -> Vec<f32> {
     let repaint = transition.repaint();
     for placed in &after.placed {
         if repaint[placed.placement.part_indices()].iter().any(|change| *change != Vec3::ZERO) {
-            let own = placed.placement.element_indices().start..placed.placement.element_indices().end.min(zone.len());
+            let own = placed.placement.element_indices();
+            let own = own.start.min(zone.len())..own.end.min(zone.len());
             zone[own.clone()].copy_from_slice(&areas[own]);
         }
     }

@@ -143,16 +143,29 @@ pub(crate) trait Wide: Copy + Debug + Send + Sync {
     }
 }
 
-/// Calls a function generic over what is carried, for the least that holds `$layers` layers.
-macro_rules! with_layers {
+/// Calls a function generic over what is carried, for the least that holds `$layers` layers side by side, of which there
+/// are at most [`SIDE_BY_SIDE`].
+macro_rules! side_by_side {
     ($layers:expr, $function:ident($($argument:expr),* $(,)?)) => {
         match $layers {
             0 | 1 => $function::<glam::Vec3>($($argument),*),
             2 => $function::<$crate::value::Layered<2>>($($argument),*),
             3 | 4 => $function::<$crate::value::Layered<4>>($($argument),*),
             5..=8 => $function::<$crate::value::Layered<8>>($($argument),*),
-            9..=$crate::value::SIDE_BY_SIDE => $function::<$crate::value::Layered<16>>($($argument),*),
-            _ => $function::<$crate::value::Few<glam::Vec3>>($($argument),*),
+            _ => $function::<$crate::value::Layered<16>>($($argument),*),
+        }
+    };
+}
+pub(crate) use side_by_side;
+
+/// Calls a function generic over what is carried, for the least that holds `$layers` layers.
+macro_rules! with_layers {
+    ($layers:expr, $function:ident($($argument:expr),* $(,)?)) => {
+        match $layers {
+            layers if layers > $crate::value::SIDE_BY_SIDE => {
+                $function::<$crate::value::Few<glam::Vec3>>($($argument),*)
+            }
+            layers => $crate::value::side_by_side!(layers, $function($($argument),*)),
         }
     };
 }

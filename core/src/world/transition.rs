@@ -65,13 +65,30 @@ impl Transition {
         Arc::new(Layer { name, lights, light: self.carry_layer(&layer.light) })
     }
 
+    /// A layer in the slots of the new world, with nothing in those that are `out`.
+    pub(crate) fn carried_without(&self, layer: &Arc<Layer>, out: &[bool]) -> Arc<Layer> {
+        let touches = |(index, block): (usize, LightBlock)| {
+            let first = index * BLOCK_SLOTS;
+            out[first..first + block.direct.len()].iter().any(|out| *out)
+        };
+        if self.keeps_slots() && !layer.light.blocks().any(touches) {
+            return Arc::clone(layer);
+        }
+        let (name, lights) = (layer.name.clone(), layer.lights.clone());
+        Arc::new(Layer { name, lights, light: self.carry_blocks(&layer.light, |slot| self.keeps(slot) && !out[slot]) })
+    }
+
     /// The light of a layer in the slots of the new world.
     fn carry_layer(&self, light: &SparseLight) -> SparseLight {
+        self.carry_blocks(light, |slot| self.keeps(slot))
+    }
+
+    fn carry_blocks(&self, light: &SparseLight, keeps: impl Fn(usize) -> bool) -> SparseLight {
         let slots = self.after.slots();
         let carried = |(index, block): (usize, LightBlock)| {
             let own = index * BLOCK_SLOTS..slots.min((index + 1) * BLOCK_SLOTS);
             let mut values = LightValues::black(own.len());
-            let stays = |k: &usize| self.keeps(own.start + k);
+            let stays = |k: &usize| keeps(own.start + k);
             for k in (0..block.direct.len().min(own.len())).filter(stays) {
                 (values.direct[k], values.indirect[k]) = (block.direct[k], block.indirect[k]);
                 values.variance[k] = block.variance[k];

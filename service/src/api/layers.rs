@@ -236,8 +236,8 @@ fn expected(scene: &SceneEntry, published: &Published, after: &Scene, edits: &[E
 
 /// Of so many layers, those that light is kept of at a place, at most.
 fn at_a_place(layers: usize) -> usize {
-    // Of more than are carried side by side as many at most, of direct and of indirect light, and the rest.
-    if layers > SIDE_BY_SIDE { SIDE_BY_SIDE + 1 } else { layers }
+    // Of direct and of indirect light as many as are carried side by side, and the rest.
+    layers.min(2 * SIDE_BY_SIDE + 1)
 }
 
 #[cfg(test)]

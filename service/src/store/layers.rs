@@ -68,8 +68,8 @@ impl PublishedLayer {
         };
         let same_ends = old.len().is_multiple_of(BLOCK_SLOTS) || old.len() == new.len();
         let mut changed: Vec<u64> = (0..blocks_of(new.len())).map(since).collect();
-        if !same_ends {
-            changed[old.len() / BLOCK_SLOTS] = version;
+        if let Some(last) = changed.get_mut(old.len() / BLOCK_SLOTS).filter(|_| !same_ends) {
+            *last = version;
         }
         changed.into()
     }
