@@ -122,6 +122,9 @@ pub(crate) fn add_square_of_rest(variance: &mut [f32], rest: &SparseLight, part:
 /// rest, which comes first. Where there is no rest, as they are.
 pub(crate) fn thinned(layers: Vec<Arc<Layer>>, which: impl Fn(usize) -> bool, scene: &Scene) -> Vec<Arc<Layer>> {
     let Some(rest) = layers.first().filter(|layer| layer.lights.is_empty()) else { return layers };
+    if !(1..layers.len()).any(&which) {
+        return layers;
+    }
     let (mut light, sizes) = (rest.light.to_dense(), sizes(&layers, scene));
     let name = rest.name.clone();
     let thin = |(k, layer): (usize, &Arc<Layer>)| match k > 0 && which(k) {
