@@ -120,6 +120,33 @@ fn layers_add_up_to_a_bake_and_each_is_its_lamps() {
     }
 }
 
+/// More lights than are weighed one by one, against the sum of two halves of them that are.
+#[test]
+fn many_lights_are_sampled_as_few_are() {
+    let scene = building::building([4, 3, 3]);
+    let half = |parity: usize| {
+        let lights = scene.lights.iter().enumerate().filter(|(k, _)| k % 2 == parity).map(|(_, light)| light.clone());
+        world_of(Scene { lights: lights.collect(), ..scene.clone() })
+    };
+    let (all, halves) = (world_of(scene.clone()), [half(0), half(1)]);
+    assert_eq!(all.emitters().len(), 36);
+    let maps: Vec<Arc<LightMap>> = (0..8).map(|seed| baked(&all, 16, seed)).collect();
+    let of_halves = halves.each_ref().map(|world| (0..6).map(|seed| baked(world, 64, 30 + seed)).collect::<Vec<_>>());
+    for (room, part) in
+        [([0, 0, 0], LightPart::Direct), ([1, 1, 1], LightPart::Direct), ([2, 1, 2], LightPart::Indirect)]
+    {
+        let inside = is_in(&all, room);
+        let mean = |map: &LightMap| {
+            let values = map.light.part(part);
+            area_mean(&all, &inside, |slot| values[slot].as_dvec3())
+        };
+        let truth = of_halves.each_ref().map(|maps| replicate(6, |i| mean(&maps[i as usize])));
+        let (truth, error) = (truth[0].mean + truth[1].mean, truth[0].error.hypot(truth[1].error));
+        let estimate = replicate(8, |i| mean(&maps[i as usize]));
+        assert_agrees(&format!("{room:?} {part:?}"), estimate, truth, 5.0 * error);
+    }
+}
+
 #[test]
 fn any_lamp_is_relit_without_a_ray_and_states_what_is_left() {
     let world = layered();
