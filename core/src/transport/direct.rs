@@ -146,3 +146,52 @@ pub(crate) fn direct_at<'a, V: Value>(
         direct.estimate(world, from, factor, &mut seed.draws(slot.into()), rays)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+    use crate::metrics::Family;
+    use crate::scene::{Light, LightKind, Material, Mesh, Object, Scene};
+    use crate::world::WorldOptions;
+
+    /// A floor below 49 lamps, and a sun that shines on its back, far stronger than they.
+    fn hall() -> World {
+        let floor = Mesh::quad(Vec3::ZERO, Vec3::Z * 14.0, Vec3::X * 14.0);
+        let mut scene = Scene::from_objects(vec![Object::new("floor", floor, Material::diffuse(Vec3::ONE))]);
+        let light = |name: String, kind: LightKind, intensity: f32| Light { name, kind, color: Vec3::ONE, intensity };
+        for k in 0..49 {
+            let position = DVec3::new(1.0 + 2.0 * f64::from(k % 7), 2.5, 1.0 + 2.0 * f64::from(k / 7));
+            let kind = LightKind::Point { position, range: None };
+            scene.lights.push(light(format!("lamp {k}"), kind, 100.0));
+        }
+        scene.lights.push(light("sun".into(), LightKind::Directional { direction: Vec3::Y, angle: 0.0 }, 1e5));
+        World::new(scene, &WorldOptions { spacing: Some(1.0), ..WorldOptions::default() }).expect("a hall")
+    }
+
+    /// The light of each lamp is known exactly, and what comes from afar takes no samples from them.
+    #[test]
+    fn many_lamps_are_added_up_by_chance_and_a_sun_does_not_matter() {
+        const RUNS: u64 = 400;
+        let (world, mut rays) = (hall(), 0);
+        let direct = DirectLight::new(&world, 16);
+        let mut family = Family::of_freedom((RUNS - 1) as f64);
+        for slot in world.computed_slots().into_iter().step_by(13) {
+            let from @ (point, n) = world.ray_origin(slot as usize);
+            let mut light = |emitter| f64::from(visible_light(emitter, &world.trees, point, n, [0.5; 2], &mut rays).x);
+            let exact: f64 = world.emitters.list.iter().map(&mut light).sum();
+            let found: Vec<f64> = (0..RUNS)
+                .map(|seed| {
+                    let draws = &mut PartSeed::whole(seed).draws(slot.into());
+                    f64::from(direct.estimate::<Vec3>(&world, from, 1, draws, &mut rays).x)
+                })
+                .collect();
+            let mean = found.iter().sum::<f64>() / RUNS as f64;
+            let variance = found.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (RUNS - 1) as f64;
+            family.compare(format!("slot {slot}"), mean - exact, (variance / RUNS as f64).sqrt());
+            assert!(variance.sqrt() < 0.15 * exact, "slot {slot}: {} of {exact}", variance.sqrt());
+        }
+        family.assert_agrees();
+    }
+}
