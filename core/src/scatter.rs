@@ -4,10 +4,9 @@
 //! edges of shadows, noise is not; so a first map knows its error, too. Of few rounds: variances are alike along a
 //! surface, and each by itself has one degree of freedom less than there are rounds.
 
-use std::ops::{Add, Div, Mul, Sub};
-
 use rayon::prelude::*;
 
+use crate::value::Linear;
 use crate::world::World;
 
 /// Elements per task.
@@ -16,15 +15,11 @@ const CHUNK: usize = 1024;
 /// Per slot: variance of some light, as `square` makes it of `light × factor` (a square over three, say); zero where no
 /// element is computed. An element's distance from the mean of its k valid neighbours has (1 + 1/k) times the variance,
 /// whatever the gradient; the mean over itself and its neighbours is taken.
-pub(crate) fn scatter_of_neighbours<L, T>(
+pub(crate) fn scatter_of_neighbours<L: Linear, T: Linear>(
     world: &World,
     light: impl Fn(usize) -> L + Sync,
     square: impl Fn(L, f32) -> T + Sync,
-) -> Vec<T>
-where
-    L: Copy + Default + Add<Output = L> + Sub<Output = L> + Div<f32, Output = L>,
-    T: Copy + Default + Send + Sync + Add<Output = T> + Div<f32, Output = T>,
-{
+) -> Vec<T> {
     let mut variance = vec![T::default(); world.slots()];
     let is_valid = |slot: usize| world.is_valid(slot);
     for placed in &world.placed {
@@ -61,15 +56,12 @@ const NEIGHBOURS: f32 = 8.0;
 /// Per slot: variances (numbers, or one per layer), each of so many degrees of freedom, as the mean of itself and of what its neighbours have. An
 /// element whose few rounds came out alike by chance is not as good as known; one of which nothing is `estimated` takes
 /// part in nothing.
-pub(crate) fn pooled_with_neighbours<T>(
+pub(crate) fn pooled_with_neighbours<T: Linear>(
     world: &World,
     freedom: f32,
     estimated: &[bool],
     variance: impl Fn(usize) -> T + Sync,
-) -> Vec<T>
-where
-    T: Copy + Default + Send + Sync + Add<Output = T> + Mul<f32, Output = T> + Div<f32, Output = T>,
-{
+) -> Vec<T> {
     let mut pooled = vec![T::default(); world.slots()];
     for placed in &world.placed {
         for side in placed.sides() {

@@ -31,7 +31,7 @@ fn layered() -> World {
     plain.apply(&each_lamp(&plain.scene)).expect("groups").after
 }
 
-/// The same objects and lights without groups.
+/// A world of the same objects and lights as another, without groups.
 fn ungrouped(world: &World) -> World {
     let groups = std::collections::BTreeMap::new();
     world_of(Scene { groups, ..Scene::clone(&world.scene) })

@@ -6,6 +6,7 @@
 //! somebody relights a light or groups lights: "model only what a scene needs".
 
 mod apart;
+mod blocks;
 mod plan;
 mod regroup;
 mod rest;
@@ -33,10 +34,6 @@ pub(crate) use regroup::{Pieces, renamed};
 pub use rest::REST_LAYER;
 pub(crate) use rest::{add_square_of_rest, at_present, at_strength_of, less_sure, off_by, thin, thinned};
 pub(crate) use stack::{Stack, weights_within};
-
-/// Of more layers than are carried side by side, a block is kept where any of its slots has more than this part of all
-/// light there.
-const LEAST: f32 = 4e-3;
 
 /// Name of the layer of the lights that share one by default.
 pub const SHARED_LAYER: &str = "shared";

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use glam::Vec3;
 
-use super::rest::with_rest;
+use super::rest::{free_name, with_rest};
 use super::{
     LayerHeader, LayerLight, MAX_GROUPS, MAX_LAYERS, REST_LAYER, SHARED_LAYER, SIDE_BY_SIDE, strength_of, weight_of,
     weight_of_changes,
@@ -131,7 +131,7 @@ impl Plan {
 
     /// A first layer for what is left of the others where they matter little: there is nothing yet.
     fn add_rest(&mut self) {
-        let header = LayerHeader { name: self.free_name(REST_LAYER.to_owned()), lights: Vec::new() };
+        let header = LayerHeader { name: self.free_name(REST_LAYER), lights: Vec::new() };
         self.after.insert(0, (header.clone(), Some(self.regrouped.len())));
         self.changed.iter_mut().for_each(|place| *place += 1);
         self.regrouped.push(Planned { header, pieces: Vec::new() });
@@ -187,7 +187,7 @@ impl Plan {
         let is_group = matches!(target, Target::Group(_));
         let same_group = |p: &&mut Planned| is_group && p.header.name == name && !p.header.is_rest();
         let Some(there) = self.regrouped.iter_mut().find(same_group) else {
-            let name = self.free_name(name);
+            let name = self.free_name(&name);
             self.regrouped.push(Planned { header: LayerHeader { name, lights }, pieces });
             return;
         };
@@ -199,15 +199,10 @@ impl Plan {
         there.pieces.extend(new.pieces);
     }
 
-    fn free_name(&self, name: String) -> String {
-        let mut free = name;
-        let is_taken = |name: &String| {
-            self.regrouped.iter().any(|p| p.header.name == *name) || self.after.iter().any(|(h, _)| h.name == *name)
-        };
-        while is_taken(&free) {
-            free.push('\'');
-        }
-        free
+    fn free_name(&self, name: &str) -> String {
+        free_name(name, |name| {
+            self.regrouped.iter().any(|p| p.header.name == name) || self.after.iter().any(|(h, _)| h.name == name)
+        })
     }
 
     /// The layers after the edit.

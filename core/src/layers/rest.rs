@@ -9,9 +9,10 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{BLOCK_SLOTS, LEAST, Layer, LayerHeader, LightBlock, LightValues, SparseLight, blocks_of, weight_of};
+use super::{BLOCK_SLOTS, Layer, LayerHeader, LightBlock, LightValues, SparseLight, blocks_of, weight_of};
 use crate::lightmap::LightMap;
 use crate::scene::Scene;
+use crate::value::LEAST_TOLD;
 
 /// Name of the layer of what is left of the others.
 pub const REST_LAYER: &str = "rest";
@@ -20,12 +21,18 @@ pub const REST_LAYER: &str = "rest";
 /// Those that are off have no layer: what is left of them would be light that is not there.
 pub(super) fn with_rest(mut headers: Vec<LayerHeader>) -> Vec<LayerHeader> {
     headers.retain(is_lit);
-    let mut name = REST_LAYER.to_owned();
-    while headers.iter().any(|header| header.name == name) {
-        name.push('\'');
-    }
+    let name = free_name(REST_LAYER, |name| headers.iter().any(|header| header.name == name));
     headers.insert(0, LayerHeader { name, lights: Vec::new() });
     headers
+}
+
+/// The name, or one like it where it is taken.
+pub(super) fn free_name(name: &str, is_taken: impl Fn(&str) -> bool) -> String {
+    let mut free = name.to_owned();
+    while is_taken(&free) {
+        free.push('\'');
+    }
+    free
 }
 
 fn is_lit(header: &LayerHeader) -> bool {
@@ -159,7 +166,7 @@ pub(crate) fn thin(layer: &Arc<Layer>, scene: &Scene, sizes: &[f32], rest: &mut 
     let weight = weight_of(&layer.lights, scene).unwrap_or(Vec3::ONE);
     let matters = |index: usize, block: &LightBlock| {
         let sizes = &sizes[index * BLOCK_SLOTS..][..block.direct.len()];
-        sizes.iter().enumerate().any(|(k, size)| size_of_slot(block, k, Vec3::ONE) > LEAST * size)
+        sizes.iter().enumerate().any(|(k, size)| size_of_slot(block, k, Vec3::ONE) > LEAST_TOLD * size)
     };
     let kept: Vec<bool> = (0..blocks_of(layer.light.len()))
         .into_par_iter()

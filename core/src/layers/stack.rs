@@ -1,13 +1,11 @@
 //! Layers as transport computes them: side by side per slot.
 
-use std::ops::{Add, Mul, Sub};
-
 use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::accumulate::Accumulator;
 use crate::lightmap::LightValues;
-use crate::value::Value;
+use crate::value::{Linear, Value};
 use crate::world::Validity;
 
 /// Slots per task.
@@ -17,11 +15,6 @@ const CHUNK: usize = 4096;
 pub(crate) fn weights_within(weights: &[Vec3]) -> &[Vec3] {
     if weights.len() > 1 { weights } else { &[Vec3::ONE] }
 }
-
-/// A number, or one per layer.
-trait Scalar: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<f32, Output = Self> {}
-
-impl<T: Copy + Add<Output = T> + Sub<Output = T> + Mul<f32, Output = T>> Scalar for T {}
 
 /// Light of some layers per slot.
 #[derive(Clone, Debug)]
@@ -43,10 +36,7 @@ impl<V: Value> Stack<V> {
     /// The mean of all rounds, with its variance, added to other, independent light. Invalid elements take their
     /// neighbours' values.
     pub(crate) fn of_mean(sum: &Accumulator<V>, to: Option<&Stack<V>>, validity: &Validity) -> Stack<V> {
-        fn total<T: Add<Output = T> + Copy + Send + Sync>(
-            values: impl IndexedParallelIterator<Item = T>,
-            to: Option<&[T]>,
-        ) -> Vec<T> {
+        fn total<T: Linear>(values: impl IndexedParallelIterator<Item = T>, to: Option<&[T]>) -> Vec<T> {
             match to {
                 Some(to) => values.zip(to).with_min_len(CHUNK).map(|(a, b)| a + *b).collect(),
                 None => values.with_min_len(CHUNK).collect(),
@@ -75,7 +65,7 @@ impl<V: Value> Stack<V> {
         slots: impl Iterator<Item = (u32, f32)>,
         shared: Option<&Stack<V>>,
     ) {
-        fn part<T: Scalar>(weight: f32, old: T, a: T, b: T) -> T {
+        fn part<T: Linear>(weight: f32, old: T, a: T, b: T) -> T {
             old + (b - old) * (weight * weight) + (a - old) * ((1.0 - weight) * (1.0 - weight))
         }
         for (slot, weight) in slots {

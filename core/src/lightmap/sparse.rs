@@ -269,7 +269,7 @@ impl From<LightValues> for SparseLight {
 }
 
 impl PartialEq for SparseLight {
-    /// The same light, whether blocks without any are there or not.
+    /// Whether two have the same light in the same slots; a block that is not there and one of zeros are the same.
     fn eq(&self, other: &SparseLight) -> bool {
         let same = |block: usize| match (self.block(block), other.block(block)) {
             (Some(a), Some(b)) => a == b,

@@ -317,7 +317,7 @@ fn elements_follow_sizes_without_cracks() {
     }
 }
 
-/// The same points on the edge of two objects, whatever the order of their triangles and corners.
+/// Two objects that share an edge place the same points on it, whatever the order of their triangles and corners.
 #[test]
 fn two_objects_place_the_same_points_by_sizes() {
     let whole = Mesh::cuboid(Vec3::ZERO, Vec3::new(1.0, 0.37, 2.1));

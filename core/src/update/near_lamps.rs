@@ -14,7 +14,7 @@ use crate::job::Canceled;
 use crate::layers::{Computed, Layer, LayerHeader, add_square_of_rest, at_present, off_by, renamed, thin};
 use crate::lightmap::{AnyLight, BLOCK_SLOTS, LightMap, LightValues, SIDE_BY_SIDE};
 use crate::value::side_by_side;
-use crate::world::{Emitters, Transition};
+use crate::world::Transition;
 
 /// Of the light near an edit, so much is that of lamps which are told apart, where there are not too many.
 const NEAR_SHARE: f32 = 0.95;
@@ -41,14 +41,13 @@ impl LayersUpdate<'_> {
     /// Which layers are told apart; none where they are too many.
     pub(super) fn near_lamps(&self, regrouped: &[Arc<Layer>]) -> Option<Near> {
         let mut near: BTreeSet<usize> = self.plan.changed.iter().copied().collect();
-        let moved: BTreeSet<u32> = self.transition.changed_keys().into_iter().collect();
+        let keys: BTreeSet<u32> = self.transition.changed_keys().into_iter().collect();
         let Transition { before, after, .. } = self.transition;
-        let stand = |emitters: &Emitters, name: &str| {
-            emitters.all().any(|e| e.name == name && e.object.is_some_and(|key| moved.contains(&key)))
-        };
+        let emitters = before.emitters.all().chain(after.emitters.all());
+        let moved: BTreeSet<&str> =
+            emitters.filter(|e| e.object.is_some_and(|key| keys.contains(&key))).map(|e| e.name.as_str()).collect();
         let is_moved = |(header, origin): &(LayerHeader, Option<usize>)| {
-            origin.is_none()
-                || header.lights.iter().any(|l| stand(&before.emitters, &l.name) || stand(&after.emitters, &l.name))
+            origin.is_none() || header.lights.iter().any(|light| moved.contains(light.name.as_str()))
         };
         near.extend(self.plan.after.iter().enumerate().filter(|(_, layer)| is_moved(layer)).map(|(k, _)| k));
         near.remove(&0);

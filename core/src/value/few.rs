@@ -6,13 +6,14 @@ use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
 use glam::Vec3;
 
-use super::{Scalars, Value};
+use super::{Linear, Scalars, Value};
 
 /// Layers that are told apart at a place, at most: what four lamps each of a room and of its neighbours light.
 const FEW: usize = 16;
 
-/// A layer with less than this part of all light at a place is not told apart there.
-const LEAST: f32 = 4e-3;
+/// Of more layers than are carried side by side, one with less than this part of all light at a place is not told apart
+/// there.
+pub(crate) const LEAST_TOLD: f32 = 4e-3;
 
 /// A number or light of each layer that matters, layers ascending, and of all others together in the first layer.
 #[derive(Clone, Copy, Debug)]
@@ -25,9 +26,7 @@ pub(crate) struct Few<T> {
 }
 
 /// What can be added up and compared in size.
-pub(crate) trait Item:
-    Copy + Default + PartialEq + Add<Output = Self> + AddAssign + Neg<Output = Self> + Mul<f32, Output = Self>
-{
+pub(crate) trait Item: Linear + Neg<Output = Self> {
     /// Largest absolute number.
     fn size(self) -> f32;
 }
@@ -189,7 +188,7 @@ impl Value for Few<Vec3> {
     }
 
     fn thinned(mut self) -> Self {
-        let least = LEAST * (self.live().map(|(_, light)| light.size()).sum::<f32>() + self.rest.size());
+        let least = LEAST_TOLD * (self.live().map(|(_, light)| light.size()).sum::<f32>() + self.rest.size());
         let mut kept = 0;
         for place in 0..self.len {
             if self.values[place].size() < least {

@@ -10,13 +10,12 @@ use std::ops::{Add, AddAssign, Div, Mul, Sub, SubAssign};
 use glam::{DVec3, Vec3};
 
 pub(crate) use dense::Layered;
-pub(crate) use few::Few;
+pub(crate) use few::{Few, LEAST_TOLD};
 
 pub(crate) use crate::lightmap::SIDE_BY_SIDE;
 
-/// Light at a point, linear RGB, of one or several layers. All arithmetic is per layer; a `Vec3` factor (albedo) and a
-/// scalar apply to every layer.
-pub(crate) trait Value:
+/// What can be added up and scaled: numbers, vectors, and one of either per layer.
+pub(crate) trait Linear:
     Copy
     + Default
     + Debug
@@ -26,13 +25,31 @@ pub(crate) trait Value:
     + Add<Output = Self>
     + AddAssign
     + Sub<Output = Self>
-    + SubAssign
-    + Mul<Vec3, Output = Self>
     + Mul<f32, Output = Self>
     + Div<f32, Output = Self>
-    + Sum
     + 'static
 {
+}
+
+impl<T> Linear for T where
+    T: Copy
+        + Default
+        + Debug
+        + PartialEq
+        + Send
+        + Sync
+        + Add<Output = T>
+        + AddAssign
+        + Sub<Output = T>
+        + Mul<f32, Output = T>
+        + Div<f32, Output = T>
+        + 'static
+{
+}
+
+/// Light at a point, linear RGB, of one or several layers. All arithmetic is per layer; a `Vec3` factor (albedo) and a
+/// scalar apply to every layer.
+pub(crate) trait Value: Linear + SubAssign + Mul<Vec3, Output = Self> + Sum {
     /// A number per layer, such as a variance; nothing where there is one layer only.
     type Scalars: Scalars;
 
@@ -77,20 +94,7 @@ pub(crate) trait Value:
 }
 
 /// A number per layer.
-pub(crate) trait Scalars:
-    Copy
-    + Default
-    + Debug
-    + PartialEq
-    + Send
-    + Sync
-    + Add<Output = Self>
-    + AddAssign
-    + Sub<Output = Self>
-    + Mul<f32, Output = Self>
-    + Div<f32, Output = Self>
-    + 'static
-{
+pub(crate) trait Scalars: Linear {
     /// Of one layer.
     fn of_layer(&self, layer: usize) -> f32;
 

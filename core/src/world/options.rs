@@ -38,7 +38,8 @@ pub enum Spread {
     Uniform,
     /// Closer where light needs them, farther apart elsewhere: about as many as at one spacing (within a tenth).
     ByLight,
-    /// The same, and nowhere farther apart than the spacing: up to half as many more.
+    /// Closer where light needs them, and nowhere farther apart than the spacing: up to half as many more than at one
+    /// spacing.
     ByLightWithin,
 }
 

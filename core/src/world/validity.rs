@@ -2,7 +2,7 @@
 //! cuts most of their cells off. They take the values of neighbours.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::ops::{Add, Div, Range};
+use std::ops::Range;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -13,7 +13,7 @@ use super::{Placed, Trees, World};
 use crate::bits::Bits;
 use crate::lightmap::LightValues;
 use crate::surface::overlap;
-use crate::value::Value;
+use crate::value::{Linear, Value};
 
 /// Which elements cannot be computed, and where their values come from.
 #[derive(Clone, Debug, Default)]
@@ -205,10 +205,7 @@ impl Validity {
     }
 
     /// Gives invalid slots the means of their neighbours' values.
-    pub(crate) fn fill<T>(&self, values: &mut [T])
-    where
-        T: Copy + Default + Add<Output = T> + Div<f32, Output = T>,
-    {
+    pub(crate) fn fill<T: Linear>(&self, values: &mut [T]) {
         for fill in self.objects.iter().flat_map(|object| &object.fills.list) {
             let sources = fill.sources.iter().map(|&s| values[s as usize]);
             values[fill.target as usize] = sources.fold(T::default(), T::add) / fill.sources.len() as f32;
