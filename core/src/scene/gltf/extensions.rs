@@ -19,10 +19,11 @@ const READ: &[&str] = &[
     "KHR_meshopt_compression",
     "KHR_node_visibility",
     "KHR_texture_transform",
+    "KHR_texture_basisu",
 ];
 
 /// Formats of textures that are not read: refused where a texture that counts has no other, see `textures`.
-const TEXTURES: &[&str] = &["EXT_texture_avif", "KHR_texture_basisu", "MSFT_texture_dds"];
+const TEXTURES: &[&str] = &["EXT_texture_avif", "MSFT_texture_dds"];
 
 /// Without effect on diffuse light: accepted even where required.
 const HARMLESS: &[&str] = &[

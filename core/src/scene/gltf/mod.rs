@@ -13,6 +13,7 @@ mod draco;
 mod extensions;
 mod files;
 mod instances;
+mod ktx2;
 mod lights;
 mod material;
 mod mesh;

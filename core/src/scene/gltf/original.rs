@@ -230,7 +230,7 @@ fn parents(root: &json::Root, placed: &[PlacedNode]) -> Vec<Option<usize>> {
 
 /// By the first bytes: the stated type is often wrong.
 fn media_type(bytes: &[u8]) -> Option<&'static str> {
-    if bytes.starts_with(b"\xabKTX 20\xbb") {
+    if super::ktx2::is_ktx2(bytes) {
         return Some("image/ktx2");
     }
     match image::guess_format(bytes).ok()? {

@@ -12,10 +12,11 @@ use json::texture::WrappingMode;
 use json::validation::Checked;
 
 use super::container::File;
+use super::document::OtherSource;
 use super::files::{Named, resolve};
 use super::views::view_bytes;
 use super::warnings::Warnings;
-use super::{LoadError, LoadLimits, malformed};
+use super::{LoadError, LoadLimits, ktx2, malformed};
 use crate::scene::{AlphaUse, Texture, TextureUse, Wrap};
 
 /// Memory that a decoder may use beside the picture, bytes.
@@ -122,19 +123,23 @@ impl<'f> Textures<'f> {
         warnings: &mut Warnings,
     ) -> Result<Option<usize>, LoadError> {
         let extensions = self.file.more.texture(index);
-        let webp = extensions.and_then(|e| e.webp.as_ref()?.source).map(|image| image.value());
+        let other = |source: &Option<OtherSource>| Some(source.as_ref()?.source?.value());
+        let read = extensions.and_then(|e| other(&e.webp).or_else(|| other(&e.basisu)));
         let own = Some(texture.source.value()).filter(|image| *image != u32::MAX as usize);
         let unread = extensions.and_then(|e| {
-            let all = [("KHR_texture_basisu", &e.basisu), ("EXT_texture_avif", &e.avif), ("MSFT_texture_dds", &e.dds)];
+            let all = [("EXT_texture_avif", &e.avif), ("MSFT_texture_dds", &e.dds)];
             all.into_iter().find(|(_, source)| source.is_some()).map(|(name, _)| name)
         });
-        if let Some(image) = webp.or(own) {
-            if let Some(name) = unread.filter(|_| webp.is_none()) {
+        if let Some(image) = read.or(own) {
+            if let Some(name) = unread.filter(|_| read.is_none()) {
                 warnings.add(format!("textures in a format that is not read ({name}) show their other image"), place);
             }
             return Ok(Some(image));
         }
-        let name = unread.unwrap_or("no image");
+        let Some(name) = unread else {
+            warnings.add(format!("missing {kind} textures (they have no image): {}", texels.stand_in()), place);
+            return Ok(None);
+        };
         if self.file.root.extensions_required.iter().any(|required| required == name) {
             let text = format!(
                 "{place}: its {kind} texture needs the extension {name}, which is not supported: save PNG or WebP"
@@ -158,22 +163,47 @@ impl<'f> Textures<'f> {
     fn read(&mut self, index: usize, texels: Texels, warnings: &mut Warnings) -> Result<Option<Texture>, LoadError> {
         let place = format!("image {index}");
         let Some(bytes) = self.bytes_of(index, &place)? else { return Ok(None) };
-        // By its first bytes: the stated type is often wrong.
-        let format = match image::guess_format(&bytes) {
-            Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP)) => format,
-            _ => {
-                warnings.add("images that are neither PNG, JPEG nor WebP are not read", place);
-                return Ok(None);
-            }
+        let Some((width, height, picture)) = self.decode(&bytes, &place)? else {
+            warnings.add("images that are neither PNG, JPEG, WebP nor KTX2 are not read", place);
+            return Ok(None);
         };
-        let broken = |error: image::ImageError| malformed(&place, &format!("cannot be decoded: {error}"));
-        let mut reader = ImageReader::with_format(Cursor::new(&*bytes), format);
+        let kept = (self.kept_texels_left / 8).clamp(KEPT_TEXELS.0, KEPT_TEXELS.1);
+        let texture = match texels {
+            Texels::Colors(alpha) => Texture::new(width, height, &picture, alpha, kept),
+            Texels::Numbers => Texture::of_numbers(width, height, &picture, kept),
+        };
+        let (width, height) = texture.size();
+        self.kept_texels_left = self.kept_texels_left.saturating_sub(width as usize * height as usize);
+        Ok(Some(texture))
+    }
+
+    /// Width, height and RGBA bytes of a picture in a format that is read, which its first bytes tell: the stated type
+    /// is often wrong.
+    fn decode(&mut self, bytes: &[u8], place: &str) -> Result<Option<(u32, u32, Vec<u8>)>, LoadError> {
+        if ktx2::is_ktx2(bytes) {
+            let (width, height) = ktx2::size_of(bytes, place)?;
+            self.count((width, height), place)?;
+            return Ok(Some((width, height, ktx2::decode(bytes, place)?)));
+        }
+        let format = match image::guess_format(bytes) {
+            Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP)) => format,
+            _ => return Ok(None),
+        };
+        let broken = |error: image::ImageError| malformed(place, &format!("cannot be decoded: {error}"));
+        let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
         // The decoder's own limits hold from its first allocation on.
         let mut limits = image::Limits::default();
         limits.max_alloc = Some(self.max_pixels.saturating_mul(8).saturating_add(DECODER_BYTES));
         reader.limits(limits);
         let decoder = reader.into_decoder().map_err(broken)?;
         let (width, height) = decoder.dimensions();
+        self.count((width, height), place)?;
+        let picture = image::DynamicImage::from_decoder(decoder).map_err(broken)?.into_rgba8();
+        Ok(Some((width, height, picture.into_raw())))
+    }
+
+    /// Counts a picture against what all may have.
+    fn count(&mut self, (width, height): (u32, u32), place: &str) -> Result<(), LoadError> {
         let pixels = u64::from(width) * u64::from(height);
         if pixels > self.max_pixels || pixels > self.total_pixels_left {
             return Err(LoadError::TooLarge(format!(
@@ -182,18 +212,10 @@ impl<'f> Textures<'f> {
             )));
         }
         if pixels == 0 {
-            return Err(malformed(&place, "has no pixels"));
+            return Err(malformed(place, "has no pixels"));
         }
         self.total_pixels_left -= pixels;
-        let picture = image::DynamicImage::from_decoder(decoder).map_err(broken)?.into_rgba8();
-        let kept = (self.kept_texels_left / 8).clamp(KEPT_TEXELS.0, KEPT_TEXELS.1);
-        let texture = match texels {
-            Texels::Colors(alpha) => Texture::new(width, height, picture.as_raw(), alpha, kept),
-            Texels::Numbers => Texture::of_numbers(width, height, picture.as_raw(), kept),
-        };
-        let (width, height) = texture.size();
-        self.kept_texels_left = self.kept_texels_left.saturating_sub(width as usize * height as usize);
-        Ok(Some(texture))
+        Ok(())
     }
 
     fn bytes_of(&self, index: usize, place: &str) -> Result<Option<Cow<'f, [u8]>>, LoadError> {

@@ -127,27 +127,44 @@ fn transforms_of_textures_are_read() {
 #[test]
 fn missing_textures_are_grey_unless_the_file_requires_them() {
     let elsewhere = ("{\"bufferView\": 6, \"mimeType\": \"image/png\"}", "{\"uri\": \"wood.png\"}");
-    let basis = ("[{\"source\": 0}]", "[{\"extensions\": {\"KHR_texture_basisu\": {\"source\": 0}}}]");
+    let avif = ("[{\"source\": 0}]", "[{\"extensions\": {\"EXT_texture_avif\": {\"source\": 0}}}]");
     let webp = ("[{\"source\": 0}]", "[{\"extensions\": {\"EXT_texture_webp\": {\"source\": 0}}}]");
     let png = encoded(ImageFormat::Png);
-    for edit in [elsewhere, basis] {
+    for edit in [elsewhere, avif] {
         let scene = load(&textured(&png, &[edit])).unwrap();
         assert_eq!(scene.objects[0].materials[0].albedo, Vec3::new(0.25, 0.125, 0.0625));
         assert!(scene.warnings.iter().any(|text| text.contains("albedo")), "{:?}", scene.warnings);
     }
-    let beside = "[{\"source\": 0, \"extensions\": {\"KHR_texture_basisu\": {\"source\": 0}}}]";
+    let beside = "[{\"source\": 0, \"extensions\": {\"EXT_texture_avif\": {\"source\": 0}}}]";
     let scene = load(&textured(&png, &[("[{\"source\": 0}]", beside)])).unwrap();
     assert!(scene.objects[0].materials[0].albedo.distance(Vec3::X * 0.25) < 1e-4);
     assert!(scene.warnings.iter().any(|text| text.contains("other image")), "{:?}", scene.warnings);
     let required = |name: &str| format!("\"extensionsRequired\": [\"{name}\"], \"extensionsUsed\": [");
-    let needs = required("KHR_texture_basisu");
-    let refused = load(&textured(&png, &[basis, ("\"extensionsUsed\": [", &needs)]));
-    assert!(matches!(&refused, Err(LoadError::Unsupported(text)) if text.contains("KHR_texture_basisu")));
+    let needs = required("EXT_texture_avif");
+    let refused = load(&textured(&png, &[avif, ("\"extensionsUsed\": [", &needs)]));
+    assert!(matches!(&refused, Err(LoadError::Unsupported(text)) if text.contains("EXT_texture_avif")));
     let needs = required("EXT_texture_webp");
     let webp = load(&textured(&encoded(ImageFormat::WebP), &[webp, ("\"extensionsUsed\": [", &needs)])).unwrap();
     assert!((webp.objects[0].materials[0].albedo - Vec3::X * 0.25).abs().max_element() < 1e-4);
     let odd = load(&textured(b"neither of them ", &[])).unwrap();
     assert!(odd.warnings.iter().any(|text| text.contains("neither PNG")), "{:?}", odd.warnings);
+}
+
+/// As its own image or as one beside it, required or not.
+#[test]
+fn ktx2_is_read() {
+    let file: &[u8] = include_bytes!("ktx2/uastc.ktx2");
+    let basis = "[{\"source\": 0}]";
+    let of_extension = "[{\"extensions\": {\"KHR_texture_basisu\": {\"source\": 0}}}]";
+    let required = "\"extensionsRequired\": [\"KHR_texture_basisu\"], \"extensionsUsed\": [";
+    for edits in [&[][..], &[(basis, of_extension)], &[(basis, of_extension), ("\"extensionsUsed\": [", required)]] {
+        let scene = load(&textured(file, edits)).unwrap();
+        // Eight of eighteen columns are black; the factor is (0.5, 0.25, 0.125).
+        assert!(scene.objects[0].materials[0].albedo.distance(Vec3::X * 0.5 * 10.0 / 18.0) < 1e-4, "{edits:?}");
+        assert!(scene.warnings.iter().all(|text| !text.contains("not read")), "{:?}", scene.warnings);
+    }
+    let broken = load(&textured(&file[..200], &[]));
+    assert!(matches!(&broken, Err(LoadError::Malformed(text)) if text.contains("image 0")), "{broken:?}");
 }
 
 /// Where a primitive has no texture coordinates, no texel is the right one.
