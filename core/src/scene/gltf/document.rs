@@ -309,11 +309,19 @@ fn visible_by_default() -> bool {
     true
 }
 
-/// `EXT_meshopt_compression`, which is being renamed with the same content.
+/// `EXT_meshopt_compression` and its successor, which has newer streams and one filter more.
 #[derive(Debug, Deserialize)]
 struct MeshoptOf<T> {
-    #[serde(rename = "EXT_meshopt_compression", alias = "KHR_meshopt_compression")]
-    meshopt: Option<T>,
+    #[serde(rename = "EXT_meshopt_compression")]
+    ext: Option<T>,
+    #[serde(rename = "KHR_meshopt_compression")]
+    khr: Option<T>,
+}
+
+impl<T> MeshoptOf<T> {
+    fn any(&self) -> Option<&T> {
+        self.khr.as_ref().or(self.ext.as_ref())
+    }
 }
 
 /// Marks a buffer whose views are all compressed: it may have no data.
@@ -383,11 +391,11 @@ impl Extensions {
 
     pub(super) fn is_fallback(&self, buffer: usize) -> bool {
         let extension = self.buffers.get(buffer).and_then(|buffer| buffer.extensions.as_ref());
-        extension.and_then(|extension| extension.meshopt.as_ref()).is_some_and(|meshopt| meshopt.fallback)
+        extension.and_then(MeshoptOf::any).is_some_and(|meshopt| meshopt.fallback)
     }
 
     pub(super) fn compressed_view(&self, view: usize) -> Option<&CompressedView> {
-        self.buffer_views.get(view)?.extensions.as_ref()?.meshopt.as_ref()
+        self.buffer_views.get(view)?.extensions.as_ref()?.any()
     }
 
     pub(super) fn draco(&self, mesh: usize, primitive: usize) -> Option<&DracoMesh> {

@@ -1,8 +1,11 @@
-//! The bytes of buffer views, decompressed where `EXT_meshopt_compression` says so.
+//! The bytes of buffer views, decompressed where `EXT_meshopt_compression` or `KHR_meshopt_compression` says so.
 
 use ::gltf::json;
-use meshoptimizer_rs::codec::{BufferView, Filter, Mode};
-use meshoptimizer_rs::{Limits, Workspace};
+use meshoptimizer_rs::codec::{
+    BufferView, Filter, Mode, decode_filter_color, decode_filter_exp, decode_filter_oct, decode_filter_quat,
+    decode_index_buffer, decode_index_sequence, decode_vertex_buffer,
+};
+use meshoptimizer_rs::{Error, Limits, Workspace};
 
 use super::container::File;
 use super::document::CompressedView;
@@ -56,14 +59,17 @@ fn decompress(
     index: usize,
 ) -> Result<Vec<u8>, LoadError> {
     let at_fault = |error: &dyn std::fmt::Display| {
-        malformed(place, &format!("buffer view {index} cannot be decompressed (EXT_meshopt_compression): {error}"))
+        malformed(place, &format!("buffer view {index} cannot be decompressed (meshopt compression): {error}"))
     };
     let source = range(file, compressed.buffer.value(), compressed.byte_offset, compressed.byte_length, place, index)?;
     let mode = Mode::parse(&compressed.mode).map_err(|_| at_fault(&"its mode is unknown"))?;
-    let filter = Filter::parse(compressed.filter.as_deref().unwrap_or("NONE"))
-        .map_err(|_| at_fault(&"its filter is unknown"))?;
+    let filter = match compressed.filter.as_deref() {
+        Some("COLOR") => Unfilter::Color,
+        other => Unfilter::Ext(Filter::parse(other.unwrap_or("NONE")).map_err(|_| at_fault(&"its filter is unknown"))?),
+    };
     let [count, stride] = [compressed.count, compressed.byte_stride].map(|n| usize::try_from(n).unwrap_or(usize::MAX));
-    let layout = BufferView::new(mode, filter, count, stride).map_err(|error| at_fault(&error))?;
+    let checked = if let Unfilter::Ext(filter) = filter { filter } else { Filter::None };
+    let layout = BufferView::new(mode, checked, count, stride).map_err(|error| at_fault(&error))?;
     let length = layout.byte_length();
     if view.byte_length.0 != length as u64 {
         return Err(at_fault(&format!("it states {} bytes and unpacks to {length}", view.byte_length.0)));
@@ -71,5 +77,37 @@ fn decompress(
     file.unpacked.take(length, place)?;
     // Twice: what is decoded, and what the decoder needs beside it.
     let limits = Limits { max_bytes: length.saturating_mul(2).saturating_add(1 << 16), ..Limits::default() };
-    layout.decode(source, &mut Workspace::new(limits)).map_err(|error| at_fault(&error))
+    decode(mode, filter, (count, stride), source, &mut Workspace::new(limits)).map_err(|error| at_fault(&error))
+}
+
+/// How decoded attributes become those that were encoded.
+#[derive(Clone, Copy)]
+enum Unfilter {
+    Ext(Filter),
+    /// Luma and chroma to RGB: `KHR_meshopt_compression` alone has it.
+    Color,
+}
+
+/// Streams of either version: the decoder's own checked form takes the first alone.
+fn decode(
+    mode: Mode,
+    filter: Unfilter,
+    (count, stride): (usize, usize),
+    source: &[u8],
+    workspace: &mut Workspace,
+) -> Result<Vec<u8>, Error> {
+    let mut bytes = match mode {
+        Mode::Attributes => decode_vertex_buffer(count, stride, source, workspace),
+        Mode::Triangles => decode_index_buffer(count, stride, source, workspace),
+        Mode::Indices => decode_index_sequence(count, stride, source, workspace),
+    }?;
+    match filter {
+        Unfilter::Ext(Filter::None) => Ok(()),
+        Unfilter::Ext(Filter::Octahedral) => decode_filter_oct(&mut bytes, count, stride, workspace),
+        Unfilter::Ext(Filter::Quaternion) => decode_filter_quat(&mut bytes, count, stride, workspace),
+        Unfilter::Ext(Filter::Exponential) => decode_filter_exp(&mut bytes, count, stride, workspace),
+        Unfilter::Color if mode == Mode::Attributes => decode_filter_color(&mut bytes, count, stride, workspace),
+        Unfilter::Color => Err(Error::InvalidParameter),
+    }?;
+    Ok(bytes)
 }

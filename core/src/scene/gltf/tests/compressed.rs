@@ -55,9 +55,14 @@ fn with_draco(data: &[u8]) -> Vec<u8> {
 
 /// Compressed positions and indices in buffer 0; buffer 1 is their fallback and has no data.
 fn with_meshopt() -> Vec<u8> {
+    meshopt_of("EXT_meshopt_compression", 0)
+}
+
+/// By an extension, with streams of a version.
+fn meshopt_of(extension: &str, version: u8) -> Vec<u8> {
     let mut workspace = Workspace::default();
     let data = square_data();
-    let encoding = VertexEncoding::new(0, 2).unwrap();
+    let encoding = VertexEncoding::new(version, 2).unwrap();
     let positions = encode_vertex_buffer(&data[..48], 4, 12, encoding, &mut workspace).unwrap();
     let indices = encode_index_buffer(&[0, 1, 2, 0, 2, 3], IndexEncoding::DEFAULT, &mut workspace).unwrap();
     let mut bin = positions.clone();
@@ -68,7 +73,7 @@ fn with_meshopt() -> Vec<u8> {
     let view = |start: usize, length: usize, from: usize, packed: usize, mode: &str, stride: usize, count: usize| {
         format!(
             "{{\"buffer\": 1, \"byteOffset\": {start}, \"byteLength\": {length}, \
-             \"extensions\": {{\"EXT_meshopt_compression\": \
+             \"extensions\": {{\"{extension}\": \
              {{\"buffer\": 0, \"byteOffset\": {from}, \"byteLength\": {packed}, \"mode\": \"{mode}\", \
              \"byteStride\": {stride}, \"count\": {count}}}}}}}"
         )
@@ -81,7 +86,7 @@ fn with_meshopt() -> Vec<u8> {
     let start = SQUARE.find("  \"bufferViews\"").unwrap();
     let json = format!(
         "{}\"bufferViews\": [{}], \"buffers\": [{{\"byteLength\": {}}}, {{\"byteLength\": 60, \
-         \"extensions\": {{\"EXT_meshopt_compression\": {{\"fallback\": true}}}}}}]}}",
+         \"extensions\": {{\"{extension}\": {{\"fallback\": true}}}}}}]}}",
         &SQUARE[..start],
         views.join(", "),
         bin.len()
@@ -103,8 +108,10 @@ fn compressed_meshes_are_those_that_were_compressed() {
     let draco = load(&with_draco(&draco_square().unwrap())).unwrap_or_else(|error| panic!("{error}"));
     assert!(is_square(&draco), "{draco:?}");
     assert!(draco.objects[0].mesh.normals.iter().all(|normal| normal.z > 0.99), "{draco:?}");
-    let meshopt = load(&with_meshopt()).unwrap_or_else(|error| panic!("{error}"));
-    assert!(is_square(&meshopt), "{meshopt:?}");
+    for file in [with_meshopt(), meshopt_of("KHR_meshopt_compression", 0), meshopt_of("KHR_meshopt_compression", 1)] {
+        let meshopt = load(&file).unwrap_or_else(|error| panic!("{error}"));
+        assert!(is_square(&meshopt), "{meshopt:?}");
+    }
 }
 
 #[test]
