@@ -147,6 +147,13 @@ pub struct Material {
     pub double_sided: bool,
 }
 
+/// What is said where materials reflect more than light may meet; the materials are named behind it.
+pub(crate) fn capped_text(max_albedo: f32) -> String {
+    format!(
+        "an albedo above {max_albedo} is taken as that, since light in a closed room would have no end (max_albedo says otherwise)"
+    )
+}
+
 /// A perspective camera of the file, in world space.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {

@@ -17,12 +17,14 @@ pub(crate) struct Albedo {
     pub told: Vec3,
     /// At most what the world allows.
     pub reflected: Vec3,
+    /// Somewhere less than what is told.
+    pub is_capped: bool,
 }
 
 impl Albedo {
     /// Caps what is told at `most`.
     pub(crate) fn new(told: Vec3, most: f32) -> Albedo {
-        Albedo { told, reflected: told.min(Vec3::splat(most)) }
+        Albedo { told, reflected: told.min(Vec3::splat(most)), is_capped: told.max_element() > most }
     }
 }
 
@@ -38,21 +40,27 @@ impl Albedos {
     /// The albedos of an object whose elements have these areas, capped at `most`.
     pub(crate) fn new(object: &Object, surface: &Surface, layout: &Layout, areas: &[f32], most: f32) -> Albedos {
         let mut of_materials: Vec<Albedo> = object.materials.iter().map(|m| Albedo::new(m.albedo, most)).collect();
-        let by_place = by_place(object, surface, layout).map(|told| {
+        let by_place = by_place(object, surface, layout).map(|places| {
             let total: f32 = areas.iter().sum();
             if total > 0.0 {
-                let mean = told.iter().zip(areas).map(|(told, area)| *told * *area).sum::<Vec3>() / total;
+                let mean = places.iter().zip(areas).map(|((told, _), area)| *told * *area).sum::<Vec3>() / total;
                 of_materials.iter_mut().for_each(|albedo| albedo.told = mean);
             }
-            told.into_iter().map(|told| Albedo::new(told, most).reflected).collect()
+            of_materials.iter_mut().for_each(|albedo| albedo.is_capped = false);
+            let reflected = |(told, material): (Vec3, u32)| {
+                let albedo = Albedo::new(told, most);
+                of_materials[material as usize].is_capped |= albedo.is_capped;
+                albedo.reflected
+            };
+            places.into_iter().map(reflected).collect()
         });
         Albedos { of_materials, by_place }
     }
 }
 
 /// Per element of one side: mean of base colour × vertex colour × factor over its cells, weighted by area, holes left
-/// out. None where every material of an object is the same all over.
-fn by_place(object: &Object, surface: &Surface, layout: &Layout) -> Option<Vec<Vec3>> {
+/// out; and a material that it is of. None where every material of an object is the same all over.
+fn by_place(object: &Object, surface: &Surface, layout: &Layout) -> Option<Vec<(Vec3, u32)>> {
     let look = |material: usize| object.looks.get(material).and_then(Option::as_deref);
     let is_textured = |material: usize| look(material).is_some_and(|l| l.base_color.is_some() && !l.is_painted);
     let mesh = &*object.mesh;
@@ -62,7 +70,8 @@ fn by_place(object: &Object, surface: &Surface, layout: &Layout) -> Option<Vec<V
     }
     // Of every cell: its elements, and colour and weight of what it shows.
     let cells = layout.of_cells(surface, |patch| {
-        let material = surface.triangle_materials[patch.face as usize] as usize;
+        let number = surface.triangle_materials[patch.face as usize];
+        let material = number as usize;
         let corners = Corners::new(mesh, surface, patch.face);
         let places = patch.corners.map(|corner| barycentrics(corner, surface.corners(patch.face as usize)));
         let uniform = object.materials[material].albedo;
@@ -72,17 +81,20 @@ fn by_place(object: &Object, surface: &Surface, layout: &Layout) -> Option<Vec<V
             None => (uniform * mean_color(&corners, &places), 1.0),
         };
         let [a, b, c] = patch.corners;
-        Some((patch.elements, color.clamp(Vec3::ZERO, Vec3::ONE), weight * (b - a).cross(c - a).length(), uniform))
+        Some((patch.elements, color.clamp(Vec3::ZERO, Vec3::ONE), weight * (b - a).cross(c - a).length(), number))
     });
-    let mut sums = vec![(Vec3::ZERO, 0.0_f32, Vec3::ZERO); layout.len()];
-    for (element, color, weight, uniform) in
-        cells.into_iter().flat_map(|(elements, color, weight, uniform)| elements.map(|e| (e, color, weight, uniform)))
+    let mut sums = vec![(Vec3::ZERO, 0.0_f32, 0); layout.len()];
+    for (element, color, weight, number) in
+        cells.into_iter().flat_map(|(elements, color, weight, number)| elements.map(|e| (e, color, weight, number)))
     {
         let sum = &mut sums[element as usize];
-        *sum = (sum.0 + color * weight, sum.1 + weight, uniform);
+        *sum = (sum.0 + color * weight, sum.1 + weight, number);
     }
     // An element between holes alone is seen by nobody.
-    let mean = |(color, weight, uniform): (Vec3, f32, Vec3)| if weight > 0.0 { color / weight } else { uniform };
+    let mean = |(color, weight, number): (Vec3, f32, u32)| {
+        let uniform = || object.materials.get(number as usize).map_or(Vec3::ZERO, |material| material.albedo);
+        (if weight > 0.0 { color / weight } else { uniform() }, number)
+    };
     Some(sums.into_iter().map(mean).collect())
 }
 

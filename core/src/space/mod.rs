@@ -94,6 +94,7 @@ impl Space {
         let part = |(albedo, double_sided): (Albedo, bool)| Part {
             albedo: albedo.reflected,
             told_albedo: albedo.told,
+            is_capped: albedo.is_capped,
             albedos: albedos.cloned(),
             object: key,
             extent,

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
+use super::albedo::Albedo;
 use super::layout::Layout;
 use super::slots::NO_OBJECT;
 
@@ -15,6 +16,8 @@ pub(crate) struct Part {
     /// What clients are told: of the file or the paint, before the world's cap; where albedo goes by place, the mean
     /// over the object.
     pub told_albedo: Vec3,
+    /// What clients are told is somewhere above the world's cap.
+    pub is_capped: bool,
     /// Per element of one side of the object, where it is not.
     pub albedos: Option<Arc<[Vec3]>>,
     /// Key of the object; [`super::NO_OBJECT`] where the part is free.
@@ -42,6 +45,7 @@ impl Part {
         Part {
             albedo: Vec3::ZERO,
             told_albedo: Vec3::ZERO,
+            is_capped: false,
             albedos: None,
             object: NO_OBJECT,
             extent: 0.0,
@@ -53,6 +57,11 @@ impl Part {
             first_cell: 0,
             layout: Arc::default(),
         }
+    }
+
+    /// What it reflects, as it was placed.
+    pub(crate) fn albedo(&self) -> Albedo {
+        Albedo { told: self.told_albedo, reflected: self.albedo, is_capped: self.is_capped }
     }
 
     /// Whether light that meets one is reflected as by the other.

@@ -14,7 +14,7 @@ use super::{Coarse, Emitters, Placed, Resolution, Trees, Validity, World, WorldE
 use crate::allowed::check_spacing;
 use crate::bvh::{BuildQuality, Bvh};
 use crate::scene::{Object, Scene};
-use crate::space::{Albedo, Albedos, Density, Elements, Layout, Space, object_areas};
+use crate::space::{Albedos, Density, Elements, Layout, Part, Space, object_areas};
 use crate::surface::{Facet, Facets, SeeThrough, Surface, facet_area, object_area};
 
 /// Edge of the cells that smooth light is evaluated in, in units of [`Resolution::smooth`].
@@ -233,7 +233,7 @@ impl Ready {
 /// The albedos of an object that is placed.
 fn albedos_of(world: &World, placed: &Placed) -> Albedos {
     let parts = world.space.parts_of(&placed.placement);
-    let of_materials = parts.iter().map(|part| Albedo { told: part.told_albedo, reflected: part.albedo }).collect();
+    let of_materials = parts.iter().map(Part::albedo).collect();
     Albedos { of_materials, by_place: parts.first().and_then(|part| part.albedos.clone()) }
 }
 

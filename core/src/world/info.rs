@@ -1,9 +1,11 @@
 //! What a client may ask of a world.
 
+use std::collections::BTreeSet;
+
 use glam::{DVec3, Vec3};
 
 use super::World;
-use crate::scene::{Light, LightKind, Object};
+use crate::scene::{Light, LightKind, Object, capped_text};
 use crate::space::NO_OBJECT;
 
 /// An object as clients see it.
@@ -63,6 +65,30 @@ impl World {
                 albedo: if area > 0.0 { albedo / area } else { mean_albedo(object) },
             }
         })
+    }
+
+    /// What a client should know of the scene as it is: the warnings of its file that still hold, and which materials
+    /// reflect more than the world allows, be it by an edit.
+    pub fn warnings(&self) -> Vec<String> {
+        const NAMED: usize = 4;
+        let text = capped_text(self.options.max_albedo);
+        let of_file = self.scene.present_warnings();
+        let mut warnings: Vec<String> = of_file.into_iter().filter(|warning| !warning.starts_with(&text)).collect();
+        let mut capped = BTreeSet::new();
+        for (placed, object) in self.placed.iter().zip(&self.scene.objects) {
+            let parts = self.space.parts_of(&placed.placement).iter().enumerate();
+            capped.extend(parts.filter(|(_, part)| part.is_capped).map(|(k, _)| {
+                let name = object.material_names.get(k).filter(|name| !name.is_empty());
+                name.map_or(format!("a material of {:?}", object.name), |name| format!("material {name:?}"))
+            }));
+        }
+        if !capped.is_empty() {
+            let more = capped.len().saturating_sub(NAMED);
+            let named = capped.into_iter().take(NAMED).collect::<Vec<_>>().join(", ");
+            let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+            warnings.push(format!("{text}: {named}{more}"));
+        }
+        warnings
     }
 
     /// All lights, in order.

@@ -69,7 +69,7 @@ impl Draft {
         let parts = self.world.space.parts_of_mut(&self.world.placed[index].placement);
         for (part, material) in parts.iter_mut().zip(materials) {
             let albedo = Albedo::new(material.albedo, self.world.options.max_albedo);
-            (part.albedo, part.told_albedo) = (albedo.reflected, albedo.told);
+            (part.albedo, part.told_albedo, part.is_capped) = (albedo.reflected, albedo.told, albedo.is_capped);
         }
     }
 
@@ -180,6 +180,40 @@ mod tests {
             assert_eq!(reds(&paint(&world, Some("box"), "wood").unwrap()), [mixed(0.1, was), 0.5]);
             assert_eq!(reds(&paint(&world, Some("box"), "steel").unwrap()), [mixed(was, 0.1), 0.5]);
         }
+    }
+
+    /// What reflects more than the world allows is told while it does, by vertex colours and paint alike.
+    #[test]
+    fn what_is_capped_is_told_by_material() {
+        let capped = |world: &World| world.warnings().into_iter().find(|text| text.starts_with("an albedo above 0.95"));
+        let white =
+            |material: &str| Edit::NamedMaterial { object: None, material: material.to_owned(), albedo: Vec3::ONE };
+        for colors in [false, true] {
+            let world = world(colors);
+            assert_eq!(capped(&world), None);
+            let painted = world.apply(&[white("steel"), white("wood")]).unwrap().after;
+            let told = capped(&painted).expect("white paint");
+            assert!(told.ends_with(": material \"steel\", material \"wood\""), "{told}");
+            let again = paint(&painted, None, "wood").unwrap();
+            assert!(capped(&again).expect("steel").ends_with(": material \"steel\""));
+            assert_eq!(capped(&paint(&again, None, "steel").unwrap()), None);
+        }
+        // White that vertex colours darken is not; two named sides and what has no name are.
+        let mut cube = Object::new("cube", Mesh::cuboid(Vec3::ZERO, Vec3::ONE), Material::diffuse(Vec3::ONE));
+        cube.material_names = vec!["".into()];
+        let of = |mesh: Mesh| {
+            let cube = Object { mesh: Arc::new(mesh), ..cube.clone() };
+            World::new(Scene::from_objects(vec![cube]), &WorldOptions { spacing: Some(0.5), ..WorldOptions::default() })
+                .unwrap()
+        };
+        let colored = |bright: usize| {
+            let mut mesh = Mesh::cuboid(Vec3::ZERO, Vec3::ONE);
+            mesh.colors = vec![Vec4::new(0.3, 0.3, 0.3, 1.0); mesh.positions.len()];
+            mesh.colors[..bright].fill(Vec4::ONE);
+            mesh
+        };
+        assert_eq!(capped(&of(colored(0))), None);
+        assert!(capped(&of(colored(4))).expect("a white side").ends_with(": a material of \"cube\""));
     }
 
     #[test]

@@ -207,7 +207,7 @@ fn tell(app: &App, scene: &SceneEntry) -> types::Scene {
         layers: published.layers.iter().map(layers::describe).collect(),
         cameras: world.scene.cameras.iter().zip(0..).map(camera).collect(),
         warnings: match state {
-            SceneState::Ready => accepted.world.scene.present_warnings(),
+            SceneState::Ready => accepted.world.warnings(),
             SceneState::Preparing | SceneState::Damaged => world.scene.warnings.clone(),
         },
         degenerate_triangles: world.scene.degenerate_triangles as u64,

@@ -22,6 +22,8 @@ pub(super) struct LoadedMaterial {
     pub(super) name: Arc<str>,
     /// What the engine sees.
     pub(super) material: Material,
+    /// Reflects more than the world allows, where no vertex colours take from it.
+    pub(super) is_bright: bool,
     /// What varies from place to place; absent where `material` says all.
     pub(super) look: Option<Arc<Look>>,
     /// Emissive factor; zero where nothing is emitted.
@@ -35,12 +37,23 @@ pub(super) struct LoadedMaterial {
     pub(super) first_set: usize,
 }
 
+impl LoadedMaterial {
+    /// As warnings name it.
+    pub(super) fn place(&self) -> String {
+        self.index.map_or("those without a material".to_owned(), |index| place_of(index, &self.name))
+    }
+}
+
+fn place_of(index: usize, name: &str) -> String {
+    format!("material {index} \"{name}\"")
+}
+
 /// Materials of a file, read when a primitive first uses them.
 #[derive(Debug)]
 pub(super) struct Materials<'f> {
     file: &'f File<'f>,
     textures: Textures<'f>,
-    max_albedo: f32,
+    pub(super) max_albedo: f32,
     /// Per material: some primitive of it has vertex colours with alpha.
     has_vertex_alpha: Vec<bool>,
     read: Vec<Option<LoadedMaterial>>,
@@ -114,11 +127,11 @@ impl<'f> Materials<'f> {
     ) -> Result<LoadedMaterial, LoadError> {
         let Some(index) = index else {
             warnings.add("primitives without a material are white", "");
-            let albedo = self.checked(Vec3::ONE, "those without a material", warnings);
             return Ok(LoadedMaterial {
                 index: None,
                 name: "".into(),
-                material: Material::diffuse(albedo),
+                material: Material::diffuse(Vec3::ONE),
+                is_bright: self.max_albedo < 1.0,
                 look: None,
                 emission_color: Vec3::ZERO,
                 emission_intensity: 1.0,
@@ -138,7 +151,7 @@ impl<'f> Materials<'f> {
     fn read_one(&mut self, index: usize, warnings: &mut Warnings) -> Result<LoadedMaterial, LoadError> {
         let missing = || malformed(&format!("material {index}"), "does not exist");
         let json = self.file.root.materials.get(index).ok_or_else(missing)?;
-        let place = format!("material {index} \"{}\"", json.name.as_deref().unwrap_or_default());
+        let place = place_of(index, json.name.as_deref().unwrap_or_default());
         let mut look = self.base(index, json, &place, warnings)?;
         self.read_transmission(json, &mut look, &place, warnings)?;
         let (mut color, mut intensity) = emission(json, &place)?;
@@ -177,7 +190,9 @@ impl<'f> Materials<'f> {
                 "where a material reads TEXCOORD_0, its textures of sets beyond TEXCOORD_1 count with their mean";
             warnings.add(text, &place);
         }
-        let albedo = self.checked(look.factor * mean, &place, warnings);
+        let albedo = look.factor * mean;
+        let is_bright = albedo.max_element() > self.max_albedo;
+        let albedo = albedo.clamp(Vec3::ZERO, Vec3::ONE);
         let look = look.varies().then(|| Arc::new(look));
         let emission = color * intensity;
         let material = Material { albedo, emission, double_sided: json.double_sided };
@@ -187,6 +202,7 @@ impl<'f> Materials<'f> {
             index,
             name,
             material,
+            is_bright,
             look,
             emission_color: color,
             emission_intensity: intensity,
@@ -289,18 +305,6 @@ impl<'f> Materials<'f> {
             look.thickness_texture = self.textures.get(info, Texels::Numbers, "thickness", place, warnings)?;
         }
         Ok(())
-    }
-
-    /// The albedo within bounds, and a warning where light meets less than it says.
-    fn checked(&self, albedo: Vec3, place: &str, warnings: &mut Warnings) -> Vec3 {
-        if albedo.max_element() > self.max_albedo {
-            let text = format!(
-                "an albedo above {} is taken as that, since light in a closed room would have no end (max_albedo says otherwise)",
-                self.max_albedo
-            );
-            warnings.add(text, place);
-        }
-        albedo.clamp(Vec3::ZERO, Vec3::ONE)
     }
 }
 

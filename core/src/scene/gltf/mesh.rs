@@ -15,7 +15,7 @@ use super::material::{LoadedMaterial, Materials};
 use super::pose::{Pose, Vertices};
 use super::warnings::Warnings;
 use super::{LoadError, LoadLimits, draco, malformed, too_large};
-use crate::scene::Mesh;
+use crate::scene::{Mesh, capped_text};
 
 /// A mesh, shared by the objects that show it.
 #[derive(Debug)]
@@ -122,6 +122,9 @@ impl<'f> Meshes<'f> {
             Checked::Invalid => return Err(malformed(place.name, "its mode is unknown")),
         };
         let material = materials.get(primitive.material, warnings)?;
+        if material.is_bright && !primitive.attributes.contains_key(&Checked::Valid(Semantic::Colors(0))) {
+            warnings.add(capped_text(materials.max_albedo), material.place());
+        }
         if !material.is_clear {
             return self.add_surface(draft, (primitive, mode), material, place, pose, warnings);
         }
