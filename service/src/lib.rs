@@ -42,3 +42,6 @@ pub use server::{run, run_while};
 pub use sizing::Sizing;
 pub use store::faults;
 pub use unit::LightUnit;
+
+/// The largest albedo that anybody may let light meet: light of a closed room has to end.
+pub const LARGEST_ALBEDO: f32 = 0.999;

@@ -72,6 +72,36 @@ fn room(folder: &Path) -> String {
     path.to_str().unwrap().to_owned()
 }
 
+/// As exporters write them: a document and what it names.
+#[test]
+fn documents_go_with_the_files_beside_them() {
+    let (service, folder) = (Service::start(), tempfile::tempdir().unwrap());
+    let glb = std::fs::read(room(folder.path())).unwrap();
+    let length = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
+    let mut document: Value = serde_json::from_slice(&glb[20..20 + length]).unwrap();
+    document["buffers"][0]["uri"] = "data/room.bin".into();
+    std::fs::create_dir(folder.path().join("data")).unwrap();
+    std::fs::write(folder.path().join("data/room.bin"), &glb[28 + length..]).unwrap();
+    let file = folder.path().join("room.gltf");
+    std::fs::write(&file, document.to_string()).unwrap();
+    let file = file.to_str().unwrap();
+    let (id, _) = service.told(&["push", file, "--spacing", "1", "--samples", "4", "--max-albedo", "0.5", "--wait"]);
+    let scene = service.json(&["info", &id, "--json"]);
+    assert_eq!(scene["objects"].as_array().unwrap().len(), 2);
+    let warnings = scene["warnings"].to_string();
+    assert!(warnings.contains("an albedo above 0.5"), "{warnings}");
+    let (asset, _) = service.told(&["assets", "add", file]);
+    service.told(&["edit", &id, "--samples", "1", "insert", file, "--name", "second", "--at", "1,0,1"]);
+    assert_eq!(service.json(&["assets", "--json"])[0]["asset"], asset.as_str());
+    let picture = folder.path().join("room.png");
+    let drawn = ["--samples", "1", "--spp", "1", "--size", "16x9", "--spacing", "1"];
+    let eye = ["--eye", "2.5,1.5,2.5", "--target", "0.5,0.5,0.5"];
+    service.told(&[&["render", file, "-o", picture.to_str().unwrap()], &drawn[..], &eye[..]].concat());
+    assert!(std::fs::read(picture).unwrap().starts_with(b"\x89PNG"));
+    let refused = service.refused(2, &["push", file, "--max-albedo", "1"]);
+    assert!(refused.contains("at most 0.999"), "{refused}");
+}
+
 #[test]
 fn a_scene_is_pushed_looked_at_edited_and_deleted() {
     let (service, folder) = (Service::start(), tempfile::tempdir().unwrap());

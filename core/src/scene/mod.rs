@@ -13,7 +13,7 @@ mod primitives;
 mod sky;
 mod texture;
 
-pub use self::gltf::{LoadError, LoadLimits, Original, load, load_path, open_original};
+pub use self::gltf::{LoadError, LoadLimits, Original, load, load_path, open_original, packed};
 pub(crate) use self::gltf::{OriginalMesh, OriginalNode};
 pub use self::light::{ENVIRONMENT, Light, LightKind};
 pub use self::look::{AlphaMode, Look};

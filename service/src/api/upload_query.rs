@@ -12,6 +12,7 @@ use super::layers::Wanted;
 use super::problem::{ApiResult, Kind, Problem};
 use super::skies;
 use super::types::JobPriority;
+use crate::LARGEST_ALBEDO;
 use crate::engine::{AtlasOptions, Spread};
 use crate::jobs::budget::JobBudget;
 use crate::mode::Mode;
@@ -21,7 +22,6 @@ use crate::store::records::StoredOutside;
 use crate::unit::LightUnit;
 
 /// Largest albedo that may be asked for: light halves in 700 bounces.
-const LARGEST_ALBEDO: f32 = 0.999;
 
 /// How to upload a scene.
 #[derive(Debug, Default, Deserialize, IntoParams)]

@@ -15,7 +15,7 @@ use rebake_core::export::{
     LightAbout, LightLayout, LitExport, Originals, Precision, lightmap_exr, write_lit_glb, write_page_exr,
 };
 use rebake_core::resolution::Meter;
-use rebake_core::scene::{LoadLimits, Scene, load_path, open_original};
+use rebake_core::scene::{DEFAULT_MAX_ALBEDO, LoadLimits, Scene, load_path, open_original};
 use rebake_core::texels::read_page;
 use rebake_core::{Budget, LightMap, Observer, Progress, Snapshot, Unobserved, World, WorldOptions};
 
@@ -23,7 +23,7 @@ use super::exit::{self, Interrupted};
 use super::remote::Replacement;
 use super::sky::SkyArgs;
 use super::ui;
-use super::values::positive;
+use super::values::{max_albedo, positive};
 
 const AFTER_HELP: &str = "\
 The ending of the file chooses the format: .glb is the scene with the light map as float COLOR_0 of subdivided meshes, \
@@ -78,6 +78,9 @@ pub(super) struct BakeArgs {
     /// Whether noise is averaged away where it may be [default: statistical for .glb and --atlas, none for .exr]
     #[arg(long, value_enum)]
     filter: Option<Filter>,
+    /// Largest albedo that light meets, below 1 [default: 0.95]
+    #[arg(long, value_name = "ALBEDO", value_parser = max_albedo)]
+    max_albedo: Option<f32>,
     #[command(flatten)]
     sky: SkyArgs,
     /// Seed of the random numbers
@@ -131,7 +134,7 @@ pub(super) async fn bake(args: BakeArgs) -> anyhow::Result<()> {
 
 fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
     let start = Instant::now();
-    let scene = load_scene(&args.file, &args.sky)?;
+    let scene = load_scene(&args.file, &args.sky, args.max_albedo)?;
     let loaded = scene.warnings.len();
     // Opened now: a place that cannot be written is better known before the bake than after it.
     let out = args.output.as_deref().map(Replacement::begin).transpose()?;
@@ -149,6 +152,7 @@ fn bake_file(args: &BakeArgs, watch: &Watch) -> anyhow::Result<()> {
         spread: args.sizing.spread(spacing.is_some()),
         stated,
         atlas,
+        max_albedo: args.max_albedo.unwrap_or(DEFAULT_MAX_ALBEDO),
         ..WorldOptions::default()
     };
     let world = World::new(scene, &options);
@@ -242,9 +246,11 @@ fn write_atlas(world: &World, values: &[glam::Vec3], directory: &Path) -> anyhow
 }
 
 /// Loads a file, says what it asked for and does not get, and adds light from outside.
-pub(super) fn load_scene(file: &Path, sky: &SkyArgs) -> anyhow::Result<Scene> {
+pub(super) fn load_scene(file: &Path, sky: &SkyArgs, max_albedo: Option<f32>) -> anyhow::Result<Scene> {
     let cannot = || format!("cannot load {}", file.display());
-    let mut scene = load_path(file, &LoadLimits::default()).with_context(cannot)?;
+    let default = LoadLimits::default();
+    let limits = LoadLimits { max_albedo: max_albedo.unwrap_or(default.max_albedo), ..default };
+    let mut scene = load_path(file, &limits).with_context(cannot)?;
     sky.add_to(&mut scene)?;
     scene.warnings.iter().for_each(|warning| ui::note(&format!("warning: {warning}")));
     Ok(scene)

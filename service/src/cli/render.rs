@@ -11,6 +11,7 @@ use rebake::Filter;
 use rebake::client::Parts;
 use rebake::pictures::{DEFAULT_SAMPLES, PictureSpec, draw};
 use rebake_core::render::{RenderOptions, Viewpoint};
+use rebake_core::scene::DEFAULT_MAX_ALBEDO;
 use rebake_core::{Budget, Unobserved, World, WorldOptions};
 use serde::de::DeserializeOwned;
 
@@ -18,10 +19,10 @@ use super::bake::load_scene;
 use super::remote::{Replacement, ServerArgs, interruptible};
 use super::sky::SkyArgs;
 use super::ui;
-use super::values::{Point, field_of_view, positive};
+use super::values::{Point, field_of_view, is_scene_file, max_albedo, positive};
 
 const AFTER_HELP: &str = "\
-What ends in .glb is a file: it is baked here, without a service. Anything else is the id of a scene of the service. \
+What ends in .glb, .gltf or .zip is a file: it is baked here, without a service. Anything else is the id of a scene of the service. \
 The ending of the picture chooses the format: .png is tone-mapped, .exr holds linear values as computed.
   rebake render $ID -o now.png --size 1280x720 --spp 64
   rebake render $ID -o large.png --size 1920x1080 --spp 64 --progressive
@@ -32,7 +33,7 @@ The ending of the picture chooses the format: .png is tone-mapped, .exr holds li
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
 pub(super) struct RenderArgs {
-    /// Scene: an id, or a binary glTF file
+    /// Scene: an id, or a file: .glb, .gltf with its files beside it, or both in a .zip
     #[arg(value_name = "SCENE")]
     scene: String,
     /// Picture to write
@@ -54,6 +55,9 @@ pub(super) struct RenderArgs {
     /// Files: largest distance between neighbouring elements, metres [default: from the scene's size]
     #[arg(long, value_name = "METRES", value_parser = positive)]
     spacing: Option<f64>,
+    /// Files: largest albedo that light meets, below 1 [default: 0.95]
+    #[arg(long, value_name = "ALBEDO", value_parser = max_albedo)]
+    max_albedo: Option<f32>,
     #[command(flatten)]
     sky: SkyArgs,
     /// Files: threads [default: one per core]
@@ -132,8 +136,11 @@ pub(super) fn size(text: &str) -> Result<(u32, u32), String> {
 
 /// Draws a picture.
 pub(super) async fn render(args: RenderArgs) -> anyhow::Result<()> {
-    let is_file = Path::new(&args.scene).extension().is_some_and(|ending| ending.eq_ignore_ascii_case("glb"));
-    if is_file { interruptible(render_file(args), "").await } else { interruptible(render_remote(&args), "").await }
+    if is_scene_file(Path::new(&args.scene)) {
+        interruptible(render_file(args), "").await
+    } else {
+        interruptible(render_remote(&args), "").await
+    }
 }
 
 async fn render_remote(args: &RenderArgs) -> anyhow::Result<()> {
@@ -213,8 +220,12 @@ async fn render_file(args: RenderArgs) -> anyhow::Result<()> {
 }
 
 fn bake_and_draw(args: &RenderArgs) -> anyhow::Result<()> {
-    let scene = load_scene(Path::new(&args.scene), &args.sky)?;
-    let options = WorldOptions { spacing: args.spacing.map(|spacing| spacing as f32), ..WorldOptions::default() };
+    let scene = load_scene(Path::new(&args.scene), &args.sky, args.max_albedo)?;
+    let options = WorldOptions {
+        spacing: args.spacing.map(|spacing| spacing as f32),
+        max_albedo: args.max_albedo.unwrap_or(DEFAULT_MAX_ALBEDO),
+        ..WorldOptions::default()
+    };
     let start = Instant::now();
     let spinner = ui::spinner("bake");
     let world = World::new(scene, &options)?;

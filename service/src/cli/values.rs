@@ -1,6 +1,9 @@
 //! Values on the command line: numbers with a range, colours, points, transforms.
 
+use std::path::Path;
 use std::str::FromStr;
+
+use rebake::LARGEST_ALBEDO;
 
 /// Comma-separated numbers, all finite.
 fn numbers(text: &str) -> Result<Vec<f64>, String> {
@@ -97,6 +100,18 @@ pub(super) fn positive(text: &str) -> Result<f64, String> {
         Ok(x) if x.is_finite() && x > 0.0 => Ok(x),
         _ => Err("expected a number above 0".to_owned()),
     }
+}
+
+/// Whether a word of the command line names a file with a scene or an asset, not one that the service has.
+pub(super) fn is_scene_file(path: &Path) -> bool {
+    let ending = path.extension().unwrap_or_default();
+    ["glb", "gltf", "zip"].iter().any(|known| ending.eq_ignore_ascii_case(known))
+}
+
+/// What `--max-albedo` may be.
+pub(super) fn max_albedo(text: &str) -> Result<f32, String> {
+    let albedo = text.parse().ok().filter(|albedo: &f32| *albedo > 0.0 && *albedo <= LARGEST_ALBEDO);
+    albedo.ok_or_else(|| format!("has to be above 0 and at most {LARGEST_ALBEDO}"))
 }
 
 /// A finite number of at least 0.

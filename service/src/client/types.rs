@@ -33,6 +33,8 @@ pub struct NewScene {
     pub sun_angle: Option<f32>,
     /// What the intensities of the file's point and spot lights are.
     pub unit: Option<LightUnit>,
+    /// Largest albedo that light meets.
+    pub max_albedo: Option<f32>,
     /// `vertices` or `atlas`.
     pub layout: Option<String>,
     /// Texels per metre of the atlas.
@@ -65,6 +67,7 @@ impl NewScene {
             ("default_sky", self.default_sky.map(|is_wanted| is_wanted.to_string())),
             ("sun_angle", self.sun_angle.map(|degrees| degrees.to_string())),
             ("unit", self.unit.map(|unit| unit.name().to_owned())),
+            ("max_albedo", self.max_albedo.map(|albedo| albedo.to_string())),
             ("layout", self.layout.clone()),
             ("texels_per_metre", self.texels_per_metre.map(|density| density.to_string())),
             ("layers", self.layers.clone()),

@@ -75,7 +75,7 @@ fn inline(data: &str, unpacked: &Allowance, place: &str) -> Result<Vec<u8>, Load
 }
 
 /// The path of a relative URI: unescaped, its dots resolved; none for anything else. Leading `..` stay.
-fn relative_path(uri: &str) -> Option<String> {
+pub(super) fn relative_path(uri: &str) -> Option<String> {
     let path = uri.split(['?', '#']).next().unwrap_or_default();
     // Unescaped, as some exporters write it, a colon may only be part of a name behind the first slash.
     let has_scheme = path.split('/').next().is_some_and(|first| first.contains(':'));

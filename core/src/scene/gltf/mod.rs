@@ -19,6 +19,7 @@ mod material;
 mod mesh;
 mod nodes;
 mod original;
+mod pack;
 mod pose;
 #[cfg(test)]
 mod tests;
@@ -40,6 +41,7 @@ use self::mesh::{LoadedMesh, Meshes};
 use self::nodes::PlacedNode;
 pub use self::original::Original;
 pub(crate) use self::original::{OriginalMesh, OriginalNode};
+pub use self::pack::packed;
 use self::warnings::Warnings;
 use super::names::UniqueNames;
 use super::{Camera, DEFAULT_MAX_ALBEDO, Object, Scene};

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::super::ui;
 use super::budget::BudgetArgs;
 use super::look::{print, text};
-use super::{ServerArgs, interruptible, note_done, read_file, wait_for_job};
+use super::{ServerArgs, interruptible, note_done, read_packed, wait_for_job};
 
 /// Arguments of `rebake cancel`.
 #[derive(Debug, clap::Args)]
@@ -146,7 +146,7 @@ pub(in super::super) async fn assets(args: AssetsArgs) -> anyhow::Result<()> {
         Some(AssetCommand::Add { files, server }) => {
             let client = server.client()?;
             for file in files {
-                let bytes = read_file(&file)?;
+                let bytes = read_packed(&file)?;
                 ui::out(&interruptible(async { Ok(client.create_asset(bytes).await?) }, "").await?)?;
             }
             Ok(())

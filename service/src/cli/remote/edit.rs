@@ -11,7 +11,7 @@ use super::super::ui;
 use super::super::values::Rgb;
 use super::budget::BudgetArgs;
 use super::operation::Operation;
-use super::{ServerArgs, interruptible, note_done, read_file, wait_for_job};
+use super::{ServerArgs, interruptible, note_done, read_file, read_packed, wait_for_job};
 
 const AFTER_HELP: &str = "\
 Prints the id of the job on standard output, all else on standard error.
@@ -70,7 +70,7 @@ pub(in super::super) async fn edit(args: &EditArgs) -> anyhow::Result<()> {
             }
             let uploaded = match operation.asset_file() {
                 Some(path) => {
-                    let glb = read_file(&path)?;
+                    let glb = read_packed(&path)?;
                     Some(interruptible(async { Ok(client.create_asset(glb).await?) }, "").await?)
                 }
                 None => None,

@@ -68,6 +68,11 @@ fn read_file(path: &Path) -> anyhow::Result<Vec<u8>> {
     std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))
 }
 
+/// A scene or an asset as it is sent: a `.gltf` goes together with the files that it names.
+fn read_packed(path: &Path) -> anyhow::Result<Vec<u8>> {
+    rebake_core::scene::packed(path).context("cannot read the file")
+}
+
 /// Runs `work` unless Ctrl-C comes first; `hint` says what goes on regardless.
 pub(super) async fn interruptible<T>(
     work: impl Future<Output = anyhow::Result<T>>,

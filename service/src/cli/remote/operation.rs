@@ -1,18 +1,18 @@
 //! The edits of `rebake edit` and their JSON.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use glam::{DMat4, DQuat, DVec3};
 use serde_json::{Value, json};
 
-use super::super::values::{Matrix, Point, Rgb, albedo, not_negative, positive};
+use super::super::values::{Matrix, Point, Rgb, albedo, is_scene_file, not_negative, positive};
 
 /// One edit.
 #[derive(Debug, clap::Subcommand)]
 pub(super) enum Operation {
     /// Put an asset into the scene as one object
     Insert {
-        /// A binary glTF file, or the id of an asset uploaded before
+        /// A file (.glb, .gltf with its files beside it, or both in a .zip), or the id of an asset uploaded before
         #[arg(value_name = "ASSET.glb|ID")]
         asset: String,
         /// Name of the new object [default: the file's]
@@ -197,7 +197,7 @@ impl Operation {
     /// The file to upload first, where the edit inserts one.
     pub(super) fn asset_file(&self) -> Option<PathBuf> {
         match self {
-            Operation::Insert { asset, .. } if asset.to_ascii_lowercase().ends_with(".glb") => Some(asset.into()),
+            Operation::Insert { asset, .. } if is_scene_file(Path::new(asset)) => Some(asset.into()),
             Operation::Sky { picture: Some(picture), .. } => {
                 let name = picture.to_ascii_lowercase();
                 (name.ends_with(".exr") || name.ends_with(".hdr")).then(|| picture.into())

@@ -8,9 +8,9 @@ use rebake::client::types::{NewScene, Scene};
 
 use super::super::sky::SkyArgs;
 use super::super::ui;
-use super::super::values::positive;
+use super::super::values::{max_albedo, positive};
 use super::budget::BudgetArgs;
-use super::{ServerArgs, interruptible, note_done, read_file, wait_for_job};
+use super::{ServerArgs, interruptible, note_done, read_file, read_packed, wait_for_job};
 
 const AFTER_HELP: &str = "\
 Prints the id of the new scene on standard output, all else on standard error:
@@ -21,7 +21,7 @@ Prints the id of the new scene on standard output, all else on standard error:
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
 pub(in super::super) struct PushArgs {
-    /// Scene to upload: a binary glTF file
+    /// Scene to upload: a .glb file, a .gltf file with its files beside it, or both in a zip archive
     #[arg(value_name = "SCENE.glb")]
     file: PathBuf,
     #[command(flatten)]
@@ -41,6 +41,9 @@ pub(in super::super) struct PushArgs {
     /// What the light map holds: all light, or only what has bounced
     #[arg(long, value_parser = ["full", "indirect"])]
     mode: Option<String>,
+    /// Largest albedo that light meets, below 1 [default: 0.95]
+    #[arg(long, value_name = "ALBEDO", value_parser = max_albedo)]
+    max_albedo: Option<f32>,
     #[command(flatten)]
     sky: SkyArgs,
     /// Texels per metre of an atlas, which objects have lasting places in [default without it: none]
@@ -63,7 +66,7 @@ pub(in super::super) struct PushArgs {
 /// Uploads a scene and starts its bake.
 pub(in super::super) async fn push(args: PushArgs) -> anyhow::Result<()> {
     let client = args.server.client()?;
-    let glb = read_file(&args.file)?;
+    let glb = read_packed(&args.file)?;
     let sky = match &args.sky.sky {
         Some(file) => {
             let picture = read_file(file)?;
@@ -84,6 +87,7 @@ pub(in super::super) async fn push(args: PushArgs) -> anyhow::Result<()> {
         default_sky: args.sky.default_sky.then_some(true),
         sun_angle: args.sky.sun_angle,
         unit: args.sky.unit,
+        max_albedo: args.max_albedo,
         layout: None,
         texels_per_metre: args.texels_per_metre.map(|density| density as f32),
         layers: args.layers,

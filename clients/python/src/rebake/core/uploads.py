@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
+import posixpath
+import re
+import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypedDict, Union
+from urllib.parse import unquote
 
 #: A file by its path, or its bytes.
 File = Union[str, "os.PathLike[str]", bytes]
@@ -60,7 +65,7 @@ def _text(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, Mapping):
-        return json.dumps({name: list(lights) for name, lights in value.items()})
+        return json.dumps(dict(value), default=list)
     if isinstance(value, str):
         return value
     if isinstance(value, Sequence):
@@ -69,8 +74,35 @@ def _text(value: Any) -> str:
 
 
 def read_file(file: File) -> bytes:
-    """The bytes of a file. Raises `OSError`."""
-    return file if isinstance(file, bytes) else Path(file).read_bytes()
+    """The bytes of a file; of a `.gltf` that names files beside it, a zip archive with them. Raises `OSError`."""
+    if isinstance(file, bytes):
+        return file
+    path = Path(file)
+    data = path.read_bytes()
+    return _packed(path, data) if path.suffix.lower() == ".gltf" else data
+
+
+def _packed(path: Path, data: bytes) -> bytes:
+    try:
+        document = json.loads(data.decode("utf-8-sig"))
+        entries = [*document.get("buffers", []), *document.get("images", [])]
+        uris = [entry["uri"] for entry in entries if "uri" in entry]
+    except (ValueError, AttributeError, TypeError, KeyError):
+        return data  # the service says what is wrong with it
+    names = {unquote(re.split(r"[?#]", uri.strip())[0]).replace("\\", "/") for uri in uris}
+    # Addresses and data within the document have a colon before the first slash.
+    names = {name for name in names if name and not name.startswith("/") and ":" not in name.split("/")[0]}
+    there = sorted(name for name in names if (path.parent / name).is_file())
+    if not there:
+        return data
+    # Deep enough for names that lead out of the document's folder.
+    depth = "/".join(["above"] * max(posixpath.normpath(name).split("/").count("..") for name in there))
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as packed:
+        for name, content in [(path.name, data), *((name, (path.parent / name).read_bytes()) for name in there)]:
+            # A fixed time: the same files are the same bytes, and the same asset.
+            packed.writestr(zipfile.ZipInfo(posixpath.normpath(posixpath.join(depth, name))), content)
+    return archive.getvalue()
 
 
 def media_type(data: bytes) -> str:

@@ -6,7 +6,7 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use zip::write::SimpleFileOptions;
 
-use super::super::{load_path, tests};
+use super::super::{load_path, packed, tests};
 use super::*;
 
 const BUFFERS: &str = "\"buffers\": [{\"byteLength\": 128}]";
@@ -51,6 +51,35 @@ fn data_is_found_within_the_document_and_beside_it() {
     let scene = load_path(&folder.join("room.gltf"), &LoadLimits::default());
     std::fs::remove_dir_all(&folder).unwrap();
     assert!(is_square(&scene.unwrap()));
+}
+
+/// A document goes with the files that it names, wherever they lie beside it; what stands alone goes as it is.
+#[test]
+fn documents_are_packed_with_their_files() {
+    let data = square_data();
+    let folder = std::env::temp_dir().join(format!("rebake-packed-{}", std::process::id()));
+    let written = |name: &str, bytes: &[u8]| {
+        let path = folder.join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(&path, bytes).unwrap();
+        path
+    };
+    written("a/buffers/room 1.bin", &data);
+    written("b.bin", &data);
+    let beside = written("a/room.gltf", format!("\u{feff} {}", with_uri("buffers/room%201.bin")).as_bytes());
+    let above = written("a/c/room.gltf", with_uri("../../b.bin").as_bytes());
+    let missing = written("missing.gltf", with_uri("nowhere.bin").as_bytes());
+    let whole = written("whole.glb", &edited(&[]));
+    let [beside, again, above, missing, whole] =
+        [&beside, &beside, &above, &missing, &whole].map(|path| packed(path).unwrap());
+    std::fs::remove_dir_all(&folder).unwrap();
+    for archive in [&beside, &above] {
+        assert!(archive.starts_with(b"PK") && is_square(&load(archive).unwrap()));
+    }
+    assert_eq!(beside, again);
+    assert_eq!(missing, with_uri("nowhere.bin").into_bytes());
+    assert_eq!(whole, edited(&[]));
+    assert!(packed(&folder).is_err());
 }
 
 #[test]
