@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 use rebake_core::delta::Frame;
-use rebake_core::export::{EXR_WIDTH, Precision, write_exr, write_pages_exr};
+use rebake_core::export::{EXR_WIDTH, Precision, write_exr, write_pages_exr, write_pages_ktx2};
 use rebake_core::texels::read_page;
 
 use crate::engine::{Atlas, Canceled, Observer, World};
@@ -30,13 +30,13 @@ pub(crate) fn file(part: &ComputedPart, version: u64, is_exr: bool) -> Result<Ve
     write_exr(&bands, EXR_WIDTH, &borrowed(&about)).map_err(|error| error.to_string())
 }
 
-/// All bands of a part on a page of an atlas, as an OpenEXR picture.
+/// All bands of a part on a page of an atlas, as an OpenEXR picture or the layers of a KTX2 texture.
 pub(crate) fn page(
     (world, atlas): (&World, &Atlas),
     index: usize,
     part: &ComputedPart,
     version: u64,
-    precision: Precision,
+    (precision, is_ktx2): (Precision, bool),
     observer: &dyn Observer,
 ) -> Result<Vec<u8>, String> {
     let read =
@@ -44,5 +44,8 @@ pub(crate) fn page(
     let pages = part.bands.iter().map(read).collect::<Result<Vec<_>, Canceled>>();
     let pages = pages.map_err(|Canceled| "nobody waits for it".to_owned())?;
     let about = about_part(part, &version.to_string());
-    write_pages_exr(&pages, precision, &borrowed(&about)).map_err(|error| error.to_string())
+    let about = borrowed(&about);
+    let file =
+        if is_ktx2 { write_pages_ktx2(&pages, precision, &about) } else { write_pages_exr(&pages, precision, &about) };
+    file.map_err(|error| error.to_string())
 }

@@ -157,6 +157,40 @@ async fn parts_and_layers_of_pages_add_up() {
     server.stop().await;
 }
 
+/// Bit for bit, validity as alpha; bands of a part are layers of an array.
+#[tokio::test]
+async fn ktx2_pages_hold_what_openexr_pages_do() {
+    let server = Server::start().await;
+    let scene = baked(&server, "layout=atlas&target=%7B%22samples_per_element%22%3A4%7D").await;
+    for (precision, bytes) in [("half", 2), ("float", 4)] {
+        let expected = page(&server, &scene, &format!("precision={precision}")).await;
+        let query = format!("{}/atlas/0?format=ktx2&precision={precision}", path_of(&scene));
+        let answer = server.get(&query).await;
+        assert_eq!((answer.status.as_u16(), answer.header("content-type")), (200, "image/ktx2"));
+        assert!(answer.header("x-rebake-estimated-rmse").parse::<f32>().unwrap() > 0.0);
+        let reader = ktx2::Reader::new(&answer.body[..]).unwrap();
+        assert_eq!(reader.header().pixel_width as usize, expected.width);
+        let version = scene["version"].to_string() + "\0";
+        assert!(reader.key_value_data().any(|pair| pair == ("lightMapVersion", version.as_bytes())));
+        let texels = reader.levels().next().unwrap().data.chunks(4 * bytes);
+        assert_eq!(texels.len(), expected.values.len());
+        for (index, texel) in texels.enumerate() {
+            let number = |at: usize| match &texel[at * bytes..(at + 1) * bytes] {
+                &[a, b] => half::f16::from_le_bytes([a, b]).to_f32(),
+                four => f32::from_le_bytes(four.try_into().unwrap()),
+            };
+            assert_eq!(Vec3::from_array([0, 1, 2].map(number)), expected.values[index], "{index}");
+            assert_eq!(number(3) == 1.0, expected.valid[index], "{index}");
+        }
+    }
+    let bands = server.get(&format!("{}/atlas/0?format=ktx2&part=directional", path_of(&scene))).await;
+    let reader = ktx2::Reader::new(&bands.body[..]).unwrap();
+    let names = reader.key_value_data().find(|(key, _)| *key == "rebake.layers").unwrap().1;
+    assert_eq!(names.split(|byte| *byte == b',').count(), reader.header().layer_count as usize);
+    assert!(reader.header().layer_count > 1);
+    server.stop().await;
+}
+
 #[tokio::test]
 async fn rectangles_stay_through_edits_and_a_restart() {
     let directory = tempfile::tempdir().unwrap();
@@ -253,7 +287,7 @@ async fn what_has_no_answer_is_refused_by_name() {
     for page in ["1", "-1", "x", "4294967296"] {
         server.get(&format!("{path}/{page}")).await.problem(404, "not-found");
     }
-    for query in ["format=ktx2", "format=png&precision=half", "layer=all", "layer=sun", "part=nothing", "filter=x"] {
+    for query in ["format=dds", "format=png&precision=half", "layer=all", "layer=sun", "part=nothing", "filter=x"] {
         server.get(&format!("{path}/0?{query}")).await.problem(400, "invalid-query");
     }
     server.get(&format!("{}/lightmap?format=exr&layout=atlas", path_of(&scene))).await.problem(400, "invalid-query");

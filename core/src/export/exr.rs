@@ -126,7 +126,7 @@ pub fn write_pages_exr(
 }
 
 /// What is finite stays so.
-fn to_half(value: f32) -> f16 {
+pub(super) fn to_half(value: f32) -> f16 {
     let most = f16::MAX.to_f32();
     f16::from_f32(if value.is_finite() { value.clamp(-most, most) } else { value })
 }

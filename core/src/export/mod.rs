@@ -1,7 +1,8 @@
-//! Files that leave the engine: binary glTF and OpenEXR.
+//! Files that leave the engine: binary glTF, OpenEXR, KTX2 and PNG.
 
 mod exr;
 mod glb;
+mod ktx2;
 mod lightmap;
 mod png;
 
@@ -10,6 +11,7 @@ pub use self::glb::{
     LightAbout, LightLayout, LitExport, MeshExport, ObjectExport, Originals, write_glb, write_lit_glb,
     write_object_glb, write_scene_glb,
 };
+pub use self::ktx2::write_pages_ktx2;
 pub use self::lightmap::{lightmap_exr, lightmap_glb, object_glb};
 pub use self::png::{srgb_from_linear, write_png};
 

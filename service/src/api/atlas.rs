@@ -198,9 +198,12 @@ pub(super) enum PageFormat {
     Exr,
     /// 8-bit sRGB with automatic exposure, to look at.
     Png,
+    /// KTX2, linear RGBA float without compression: alpha is 1 where a texel was read from a surface. Parts of several bands
+    /// are the layers of an array.
+    Ktx2,
 }
 
-/// How exact the numbers of an OpenEXR page are.
+/// How exact the numbers of an OpenEXR or KTX2 page are.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum PagePrecision {
@@ -216,10 +219,10 @@ pub(super) enum PagePrecision {
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct PageQuery {
-    /// File format; `exr` where absent. KTX2 is not offered.
+    /// File format; `exr` where absent.
     #[param(inline)]
     format: Option<PageFormat>,
-    /// Of `exr`; `half` where absent.
+    /// Of `exr` and `ktx2`; `half` where absent.
     #[param(inline)]
     precision: Option<PagePrecision>,
     /// `full`, `direct` or `indirect`: that part of all light; the scene's mode where absent. The name of a layer
@@ -254,7 +257,7 @@ pub(super) struct PageQuery {
             ("X-Rebake-Exposure" = f32, description = "Stops of a PNG"),
             ("X-Rebake-Ao-Distance" = f32, description = "Of `part=ao`: metres"),
             ("X-Rebake-Estimated-Rmse" = f32, description = "Stated error of what is delivered, where it is known")),
-            content((Vec<u8> = "image/x-exr"), (Vec<u8> = "image/png"))),
+            content((Vec<u8> = "image/x-exr"), (Vec<u8> = "image/png"), (Vec<u8> = "image/ktx2"))),
         (status = 304, description = "The client has this version"),
     )
 )]
@@ -269,14 +272,14 @@ pub(super) async fn get_page(
     let mut versioned = Versioned::of_light(&published, &headers, None)?;
     let format = query.format.unwrap_or_default();
     if format == PageFormat::Png && query.precision.is_some() {
-        return Err(Problem::field(Kind::InvalidQuery, "precision", "goes with format=exr only"));
+        return Err(Problem::field(Kind::InvalidQuery, "precision", "goes with format=exr and format=ktx2 only"));
     }
     let chosen = lightmap::choose(&published, query.layer.as_deref(), query.part, query.ao_distance)?;
     if matches!(chosen, Chosen::All) {
         return Err(Problem::field(Kind::InvalidQuery, "layer", "pages hold one layer each: `all` is not offered"));
     }
     if matches!(chosen, Chosen::Wanted(computed::Wanted::Directional)) && format == PageFormat::Png {
-        return Err(Problem::field(Kind::InvalidQuery, "format", "has to be exr for part=directional"));
+        return Err(Problem::field(Kind::InvalidQuery, "format", "has to be exr or ktx2 for part=directional"));
     }
     let atlas = atlas_of(&app, &scene, &published).await?;
     let pages = atlas.pages();
@@ -295,12 +298,14 @@ pub(super) async fn get_page(
     }
     let about = versioned.about;
     let bytes = u64::from(pages[index].width) * u64::from(pages[index].height) * BYTES_PER_TEXEL;
-    let picture = match format {
-        PageFormat::Png => AtlasPicture::Png,
-        PageFormat::Exr => AtlasPicture::Exr(match query.precision.unwrap_or_default() {
-            PagePrecision::Half => Precision::Half,
-            PagePrecision::Float => Precision::Float,
-        }),
+    let precision = match query.precision.unwrap_or_default() {
+        PagePrecision::Half => Precision::Half,
+        PagePrecision::Float => Precision::Float,
+    };
+    let (picture, kind) = match format {
+        PageFormat::Png => (AtlasPicture::Png, "image/png"),
+        PageFormat::Exr => (AtlasPicture::Exr(precision), "image/x-exr"),
+        PageFormat::Ktx2 => (AtlasPicture::Ktx2(precision), "image/ktx2"),
     };
     let (watch, its_app) = (Watch::default(), Arc::clone(&app));
     let _guard = watch.guard();
@@ -309,9 +314,10 @@ pub(super) async fn get_page(
         let _turn = turn;
         let _promise = its_app.memory.promise(bytes, 0).map_err(|full| memory_problem("page", full))?;
         if let Chosen::Computed(part) = &chosen
-            && let AtlasPicture::Exr(precision) = picture
+            && format != PageFormat::Png
         {
-            let page = bands::page((&published.world, &atlas), index, part, published.version, precision, &watch);
+            let file = (precision, format == PageFormat::Ktx2);
+            let page = bands::page((&published.world, &atlas), index, part, published.version, file, &watch);
             return page.map(|file| (file, None)).map_err(Problem::internal);
         }
         let (values, about) = lightmap::values(&published, &chosen).map_err(Problem::internal)?;
@@ -320,7 +326,6 @@ pub(super) async fn get_page(
         drawn.map_err(Problem::internal)
     };
     let (file, exposure) = app.compute.draw(work).await??;
-    let kind = if format == PageFormat::Png { "image/png" } else { "image/x-exr" };
     let mut response = (about, [(header::CONTENT_TYPE, kind)], file).into_response();
     if let Some(stops) = exposure {
         let value = header::HeaderValue::from_str(&stops.to_string()).map_err(Problem::internal)?;

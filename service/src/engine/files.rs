@@ -5,7 +5,9 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use rebake_core::LightPart;
-use rebake_core::export::{EXR_WIDTH, LightLayout, LitExport, Precision, write_exr, write_lit_glb, write_page_exr};
+use rebake_core::export::{
+    EXR_WIDTH, LightLayout, LitExport, Precision, write_exr, write_lit_glb, write_page_exr, write_pages_ktx2,
+};
 use rebake_core::render::{Picture, ToneMap, auto_exposure};
 use rebake_core::scene::Original;
 use rebake_core::texels::read_page;
@@ -88,6 +90,8 @@ pub(crate) fn open_original(file: &[u8]) -> Result<Original, LoadError> {
 pub(crate) enum AtlasPicture {
     /// OpenEXR.
     Exr(Precision),
+    /// KTX2.
+    Ktx2(Precision),
     /// PNG, with automatic exposure.
     Png,
 }
@@ -103,6 +107,7 @@ pub(crate) fn atlas_page(
     let page = read_page(world, atlas, page, values, observer).map_err(|Canceled| "nobody waits for it".to_owned())?;
     let file = match picture {
         AtlasPicture::Exr(precision) => (write_page_exr(&page, precision, about), None),
+        AtlasPicture::Ktx2(precision) => (write_pages_ktx2(&[("", page)], precision, about), None),
         AtlasPicture::Png => {
             let valid = page.values.iter().zip(&page.valid).filter(|(_, valid)| **valid);
             let exposure = auto_exposure(&valid.map(|(value, _)| *value).collect::<Vec<_>>());

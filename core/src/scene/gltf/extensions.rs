@@ -19,8 +19,8 @@ const READ: &[&str] = &[
     "KHR_mesh_quantization",
     "KHR_meshopt_compression",
     "KHR_node_visibility",
-    "KHR_texture_transform",
     "KHR_texture_basisu",
+    "KHR_texture_transform",
 ];
 
 /// Formats of textures that are not read: refused where a texture that counts has no other, see `textures`.
