@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use glam::{DMat4, Vec3};
+use glam::{DMat4, DVec3, Vec3};
 
 use super::{Light, LightKind, Material, Mesh, Object, Scene};
 
@@ -161,7 +161,26 @@ impl Object {
     }
 }
 
+impl Object {
+    /// Low and high corner of its triangles where they stand, world space, metres. None without triangles.
+    pub fn bounds(&self) -> Option<(DVec3, DVec3)> {
+        let mesh = &self.mesh;
+        let corners = mesh.triangles.iter().flatten().map(|&corner| mesh.positions[corner as usize].as_dvec3());
+        let corners = corners.map(|corner| self.world_from_object.transform_point3(corner));
+        corners.fold(None, |bounds, at| {
+            let (low, high) = bounds.unwrap_or((at, at));
+            Some((low.min(at), high.max(at)))
+        })
+    }
+}
+
 impl Scene {
+    /// Low and high corner of all objects where they stand, world space, metres. None without triangles.
+    pub fn bounds(&self) -> Option<(DVec3, DVec3)> {
+        let all = self.objects.iter().filter_map(|object| object.bounds());
+        all.reduce(|(low, high), (l, h)| (low.min(l), high.max(h)))
+    }
+
     /// A scene of objects made in code, with their emissive materials as lights. Its origin is that of the world.
     pub fn from_objects(objects: Vec<Object>) -> Self {
         Self {

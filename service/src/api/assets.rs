@@ -15,7 +15,7 @@ use super::keys::{Keyed, Turn};
 use super::paging::Page;
 use super::problem::{ApiResult, Kind, Problem};
 use super::scenes::ListQuery;
-use super::types::Asset;
+use super::types::{Asset, Bounds};
 use super::{Shared, require_serving, uploads};
 use crate::engine;
 use crate::state::App;
@@ -30,8 +30,15 @@ pub(super) struct AssetSummary {
     /// Content hash: what `insert` and `sky` name.
     #[schema(example = "d74981efa70a0c880b8d8c1985d075dbcbf679b99a5f9914e5aaf96b831a9e24")]
     asset: String,
+    /// Name of its first object; absent of a picture.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(example = "chair")]
+    name: Option<String>,
     /// Triangles in the file; 0 of a picture.
     triangles: u64,
+    /// What it fills in its own space, metres; absent where it has no triangles.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    bounds: Option<Bounds>,
     /// Texels across and down of a picture of the sky, as it is kept; absent of what can be inserted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     picture: Option<[u32; 2]>,
@@ -156,6 +163,8 @@ pub(super) async fn delete(State(app): Shared, ApiPath(id): ApiPath<String>) -> 
 
 fn summary(app: &App, asset: Listed) -> AssetSummary {
     AssetSummary {
+        name: name(&asset.content),
+        bounds: asset.bounds.map(|(min, max)| Bounds { min: min.to_array(), max: max.to_array() }),
         triangles: triangles(&asset.content),
         picture: size(&asset.content),
         bytes: asset.bytes as u64,
@@ -163,6 +172,11 @@ fn summary(app: &App, asset: Listed) -> AssetSummary {
         scenes: asset.needed_by.iter().map(|number| app.ids.scene(*number)).collect(),
         asset: asset.id,
     }
+}
+
+fn name(content: &Content) -> Option<String> {
+    let Content::Model(scene) = content else { return None };
+    scene.objects.first().map(|object| object.name.clone())
 }
 
 fn triangles(content: &Content) -> u64 {

@@ -3,6 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
+use glam::DVec3;
+
 use crate::engine::{Scene, SkyPicture};
 use crate::jobs::queue::SceneNumber;
 use crate::memory;
@@ -22,6 +24,14 @@ impl Content {
         match self {
             Content::Model(scene) => memory::of_asset(scene),
             Content::Picture(picture) => picture.memory_bytes() as u64,
+        }
+    }
+
+    /// Low and high corner of what can be inserted, metres.
+    fn bounds(&self) -> Option<(DVec3, DVec3)> {
+        match self {
+            Content::Model(scene) => scene.bounds(),
+            Content::Picture(_) => None,
         }
     }
 
@@ -74,6 +84,7 @@ struct Entry {
     content: Content,
     bytes: usize,
     memory_bytes: u64,
+    bounds: Option<(DVec3, DVec3)>,
     /// Scenes that used it at some time.
     needed_by: BTreeSet<SceneNumber>,
     /// It is being deleted: nobody begins to need it.
@@ -89,6 +100,8 @@ pub(crate) struct Listed {
     /// As uploaded.
     pub(crate) bytes: usize,
     pub(crate) memory_bytes: u64,
+    /// Low and high corner of what can be inserted, in its own space, metres.
+    pub(crate) bounds: Option<(DVec3, DVec3)>,
     pub(crate) needed_by: Vec<SceneNumber>,
 }
 
@@ -139,7 +152,7 @@ impl Assets {
     /// Keeps an asset of `bytes` uploaded bytes, whatever room there is. True where it is new.
     pub(crate) fn insert(&self, id: String, content: impl Into<Content>, bytes: usize) -> bool {
         let content = content.into().named(&id);
-        let memory_bytes = content.memory_bytes();
+        let (memory_bytes, bounds) = (content.memory_bytes(), content.bounds());
         let mut held = self.write();
         if held.by_hash.contains_key(&id) {
             return false;
@@ -150,7 +163,7 @@ impl Assets {
         let number = held.newest;
         held.by_number.insert(number, id.clone());
         let needed_by = BTreeSet::new();
-        held.by_hash.insert(id, Entry { number, content, bytes, memory_bytes, needed_by, is_leaving: false });
+        held.by_hash.insert(id, Entry { number, content, bytes, memory_bytes, bounds, needed_by, is_leaving: false });
         true
     }
 
@@ -166,6 +179,7 @@ impl Assets {
                 content: entry.content.clone(),
                 bytes: entry.bytes,
                 memory_bytes: entry.memory_bytes,
+                bounds: entry.bounds,
                 needed_by: entry.needed_by.iter().copied().collect(),
             })
         });

@@ -288,14 +288,10 @@ fn read_objects(
 /// Bounds of all triangles in world space, metres.
 fn world_bounds(objects: &[LoadedObject]) -> Result<(DVec3, DVec3), LoadError> {
     let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    for object in objects.iter().map(|loaded| &loaded.object).filter(|o| !o.mesh.triangles.is_empty()) {
-        let mesh = &object.mesh;
-        let (mut object_low, mut object_high) = (low, high);
-        for &corner in mesh.triangles.iter().flatten() {
-            let position = object.world_from_object.transform_point3(mesh.positions[corner as usize].as_dvec3());
-            (object_low, object_high) = (object_low.min(position), object_high.max(position));
-        }
-        let extent = (object_high - object_low).max_element();
+    for object in objects.iter().map(|loaded| &loaded.object) {
+        let Some((object_low, object_high)) = object.bounds() else { continue };
+        (low, high) = (low.min(object_low), high.max(object_high));
+        let extent = (high - low).max_element();
         // A far away scene keeps its precision (see `Scene::origin`), a vast one does not.
         if !extent.is_finite() || extent > MAX_EXTENT {
             return Err(LoadError::Malformed(format!(
@@ -303,7 +299,6 @@ fn world_bounds(objects: &[LoadedObject]) -> Result<(DVec3, DVec3), LoadError> {
                 object.name
             )));
         }
-        (low, high) = (object_low, object_high);
     }
     Ok((low, high))
 }
