@@ -17,9 +17,9 @@ pub(crate) use rebake_core::layers::{Layer, MAX_GROUPS, SHARED_LAYER, SIDE_BY_SI
 pub(crate) use rebake_core::object_areas;
 pub(crate) use rebake_core::resolution::{MeanSquare, Meter, ResolutionError, noise_of_objects};
 pub(crate) use rebake_core::scene::Object;
-use rebake_core::scene::{self, DEFAULT_MAX_ALBEDO, LoadLimits, NodeSource};
+use rebake_core::scene::{self, DEFAULT_MAX_ALBEDO, LoadLimits};
 pub use rebake_core::scene::{LoadError, Scene};
-pub(crate) use rebake_core::scene::{Outside, SkyPicture};
+pub(crate) use rebake_core::scene::{NodeSource, Outside, SkyPicture};
 pub use rebake_core::surface::SurfaceError;
 pub use rebake_core::{
     Budget, Canceled, DragBasis, Edit, EditError, EditErrorKind, Focus, Importance, LightMap, NextPart, Observer,

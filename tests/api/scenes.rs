@@ -1,6 +1,6 @@
 //! Upload, look, list, delete.
 
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::glb;
 use super::server::{Server, path_of};
@@ -153,6 +153,66 @@ async fn a_scene_whose_last_light_goes_says_that_it_is_dark() {
     ] {
         server.edit(&scene, &edit).await;
         assert_eq!(dark().await, expected, "{edit}");
+    }
+    server.stop().await;
+}
+
+/// Where names are not what a program knows things by: the node of the file, and the `extras.id` of it.
+#[tokio::test]
+async fn edits_name_objects_and_lights_by_their_nodes() {
+    let server = Server::start().await;
+    let file = glb::room().bytes_with(|document| {
+        // A second cupboard of the same name.
+        let nodes = document["nodes"].as_array_mut().unwrap();
+        for node in nodes.iter_mut() {
+            node["extras"] = json!({ "id": format!("id-{}", node["name"].as_str().unwrap()) });
+        }
+        let mut twin = nodes.iter().find(|node| node["name"] == "cupboard").unwrap().clone();
+        twin["extras"] = json!({ "id": "id-room" });
+        nodes.push(twin);
+        let index = nodes.len() - 1;
+        document["scenes"][0]["nodes"].as_array_mut().unwrap().push(index.into());
+    });
+    let scene = server.post_glb("/v1/scenes?spacing=1&samples_per_element=4", file).await.json(201);
+    server.end_of(scene["current_job"].as_str().unwrap()).await;
+    let now = async || server.get(&path_of(&scene)).await.json(200);
+    let named = |list: &Value, name: &str| list.as_array().unwrap().iter().find(|one| one["name"] == name).cloned();
+    let node = |name: &str| named(&scene["objects"], name).unwrap()["node"].clone();
+    let lamp = named(&scene["lights"], "lamp").unwrap()["node"].clone();
+    let edits = json!({ "edits": [
+        { "op": "material", "object": { "node": node("cupboard-2") }, "albedo": [0.25, 0.25, 0.25] },
+        { "op": "relight", "lights": [{ "light": { "node": lamp }, "intensity": 3 }] },
+        { "op": "move_light", "light": { "id": "id-lamp" }, "position": [1, 1, 1] },
+    ], "budget": { "samples_per_element": 4 } });
+    server.edit(&scene, &edits).await;
+    let told = now().await;
+    assert_eq!(named(&told["objects"], "cupboard-2").unwrap()["albedo"], json!([0.25, 0.25, 0.25]));
+    assert_eq!(
+        named(&told["objects"], "cupboard").unwrap()["albedo"],
+        named(&scene["objects"], "cupboard").unwrap()["albedo"]
+    );
+    let lamp = named(&told["lights"], "lamp").unwrap();
+    assert_eq!((&lamp["intensity"], &lamp["position"]), (&json!(3.0), &json!([1.0, 1.0, 1.0])));
+    // History has names.
+    let history = server.get(&format!("{}/edits", path_of(&scene))).await.json(200);
+    assert!(history.to_string().contains("\"object\":\"cupboard-2\""), "{history}");
+    server.edit(&scene, &json!({ "op": "remove", "objects": [{ "id": "id-cupboard" }] })).await;
+    assert!(named(&now().await["objects"], "cupboard").is_none());
+    let path = format!("{}/edits", path_of(&scene));
+    for (edit, slug, field) in [
+        (json!({ "op": "remove", "objects": ["cupboard-2", { "node": 99 }] }), "unknown-object", "objects[1]"),
+        (json!({ "op": "hide", "objects": [{ "id": "id-room" }] }), "invalid-value", "objects[0]"),
+        (json!({ "op": "hide", "objects": [{ "node": 1, "id": "x" }] }), "invalid-value", "objects[0]"),
+        (json!({ "op": "remove_light", "light": { "node": 0 } }), "unknown-light", "light"),
+        (
+            json!({ "edits": [{ "op": "relight", "lights": [{ "light": { "id": 7 } }] }] }),
+            "invalid-value",
+            "edits[0].lights[0].light",
+        ),
+    ] {
+        let answer = server.post_json(&path, &edit).await;
+        answer.problem(422, slug);
+        assert_eq!(answer.json(422)["field"], field, "{edit}");
     }
     server.stop().await;
 }

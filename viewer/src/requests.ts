@@ -49,18 +49,19 @@ export function describe(request: object): string {
 }
 
 function one(edit: Edit): string {
-  const some = (names: string[]) => (names.length > 1 ? `${names[0]} and ${names.length - 1} more` : (names[0] ?? ''));
+  // What was accepted has names in place of nodes.
+  const some = (names: unknown[]) => (names.length > 1 ? `${String(names[0])} and ${names.length - 1} more` : String(names[0] ?? ''));
   switch (edit.op) {
     case 'insert':
     case 'insert_light': return `insert ${edit.name}`;
     case 'remove': return `remove ${some(edit.objects)}`;
     case 'hide': return `hide ${some(edit.objects)}`;
     case 'show': return `show ${some(edit.objects)}`;
-    case 'move': return `move ${edit.object}`;
-    case 'material': return `repaint ${edit.object ?? edit.material}`;
+    case 'move': return `move ${some([edit.object])}`;
+    case 'material': return `repaint ${some([edit.object ?? edit.material])}`;
     case 'relight': return `relight ${some(edit.lights.map((light) => light.light))}`;
-    case 'remove_light': return `remove ${edit.light}`;
-    case 'move_light': return `move ${edit.light}`;
+    case 'remove_light': return `remove ${some([edit.light])}`;
+    case 'move_light': return `move ${some([edit.light])}`;
     case 'group_lights': return `group ${some(edit.lights)}`;
     case 'sky': return 'sky';
     default: return edit.op;

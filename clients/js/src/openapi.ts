@@ -24,8 +24,11 @@ export interface AssetPage {
 export interface AssetSummary {
   /** Content hash: what `insert` and `sky` name. */
   asset: string;
+  /** Name of its first object; absent of a picture. */
+  name?: string | null;
   /** Triangles in the file; 0 of a picture. */
   triangles: number;
+  bounds?: Bounds | null;
   /** Texels across and down of a picture of the sky, as it is kept; absent of what can be inserted. */
   picture?: number[] | null;
   /** Bytes of the file. */
@@ -221,8 +224,8 @@ export interface GroupLights {
    * they are in.
    */
   name?: string | null;
-  /** Names of lights. */
-  lights: string[];
+  /** Names or nodes of lights. */
+  lights: Reference[];
   budget?: Budget | null;
   focus?: Focus | null;
   tiles?: Tiles | null;
@@ -241,8 +244,8 @@ export interface Health {
  */
 export interface Hide {
   op: "hide";
-  /** Names; `*` matches any part of a name. Those that are hidden stay so. */
-  objects: string[];
+  /** Names, in which `*` matches any part of a name, or nodes. Those that are hidden stay so. */
+  objects: Reference[];
   budget?: Budget | null;
   focus?: Focus | null;
   tiles?: Tiles | null;
@@ -277,6 +280,12 @@ export interface HistoryPage {
   redo?: number | null;
   /** Asks for the next page; absent on the last. */
   next_cursor?: string | null;
+}
+
+/** A node of the scene's file, by what the program that wrote it knows it by. */
+export interface IdReference {
+  /** `extras.id` of the node. */
+  id: string;
 }
 
 /** Puts an asset into the scene as one object. */
@@ -437,8 +446,8 @@ export interface LightError {
 /** Gives an object a new place. */
 export interface Move {
   op: "move";
-  /** Its name. */
-  object: string;
+  /** Its name or node. */
+  object: Reference;
   /** Object space to world space, column-major, metres; replaces the present one. */
   transform: number[];
   /**
@@ -455,8 +464,8 @@ export interface Move {
 /** Moves a point or spot light, turns a spot or directional light. */
 export interface MoveLight {
   op: "move_light";
-  /** Its name. */
-  light: string;
+  /** Its name or node. */
+  light: Reference;
   /** New place. */
   position?: number[] | null;
   /** New direction in which it shines. */
@@ -474,6 +483,12 @@ export interface MoveLight {
 
 /** A light to add. */
 export type NewLight = PointLight | SpotLight | DirectionalLight | EnvironmentLight;
+
+/** A node of the scene's file. */
+export interface NodeReference {
+  /** Index in the file's list of nodes. */
+  node: number;
+}
 
 /** An object with its materials, and its light as a whole. */
 export interface ObjectDetail {
@@ -653,6 +668,9 @@ export interface Redo {
   priority?: JobPriority | null;
 }
 
+/** An object or a light of a scene. */
+export type Reference = string | NodeReference | IdReference;
+
 /** Changes colour or intensity of lights. */
 export interface Relight {
   op: "relight";
@@ -666,8 +684,8 @@ export interface Relight {
 
 /** New colour or intensity of one light; what is absent stays. */
 export interface RelightOne {
-  /** Its name. */
-  light: string;
+  /** Its name or node. */
+  light: Reference;
   /** Linear RGB factor. */
   color?: number[] | null;
   /** Scalar factor. */
@@ -677,8 +695,8 @@ export interface RelightOne {
 /** Takes objects out, with the lights on them. */
 export interface Remove {
   op: "remove";
-  /** Names; `*` matches any part of a name. A request may hold 4096 names, 64 of them with a `*`. */
-  objects: string[];
+  /** Names, in which `*` matches any part of a name, or nodes. A request may hold 4096 of them, 64 with a `*`. */
+  objects: Reference[];
   budget?: Budget | null;
   focus?: Focus | null;
   tiles?: Tiles | null;
@@ -688,8 +706,8 @@ export interface Remove {
 /** Takes a light away. An emissive surface stays as an object that emits nothing. */
 export interface RemoveLight {
   op: "remove_light";
-  /** Its name. */
-  light: string;
+  /** Its name or node. */
+  light: Reference;
   budget?: Budget | null;
   focus?: Focus | null;
   tiles?: Tiles | null;
@@ -699,8 +717,7 @@ export interface RemoveLight {
 /** Repaints an object, a material wherever it is, or the parts of one object that have it. */
 export interface Repaint {
   op: "material";
-  /** Name of the object; without it the edit names a material. */
-  object?: string | null;
+  object?: Reference | null;
   /** Name of the material in the file; without it all materials of the object. */
   material?: string | null;
   /** Diffuse albedo, linear RGB, each 0 to 1. */
@@ -959,8 +976,8 @@ export interface SceneSummary {
 /** Brings hidden objects back, with the lights on them. */
 export interface Show {
   op: "show";
-  /** Names; `*` matches any part of a name. Those that are not hidden stay so. */
-  objects: string[];
+  /** Names, in which `*` matches any part of a name, or nodes. Those that are not hidden stay so. */
+  objects: Reference[];
   budget?: Budget | null;
   focus?: Focus | null;
   tiles?: Tiles | null;

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import io
+import json
+import zipfile
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from rebake import Hide, Insert, InsertLight, LightChange, Material, Move, MoveLight, Remove, SpotLight, Undo
+from rebake import Hide, Insert, InsertLight, LightChange, Material, Move, MoveLight, Node, Remove, SpotLight, Undo
 from rebake.core.edits import edit_json
-from rebake.core.uploads import upload_query
+from rebake.core.uploads import media_type, read_file, upload_query
 
 PLACE = [[1, 0, 0, 5], [0, 1, 0, 6], [0, 0, 1, 7], [0, 0, 0, 1]]
 COLUMNS = [1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 5, 6, 7, 1]
@@ -22,6 +26,9 @@ COLUMNS = [1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 5, 6, 7, 1]
         (Move("sofa", np.array(PLACE)), {"op": "move", "object": "sofa", "transform": COLUMNS}),
         (Insert("a1", "x", COLUMNS), {"op": "insert", "asset": "a1", "name": "x", "transform": COLUMNS}),
         (Remove("sofa"), {"op": "remove", "objects": ["sofa"]}),
+        (Remove(Node(3)), {"op": "remove", "objects": [{"node": 3}]}),
+        (Hide(["sofa", Node(id="b7")]), {"op": "hide", "objects": ["sofa", {"id": "b7"}]}),
+        (Move(Node(0), PLACE), {"op": "move", "object": {"node": 0}, "transform": COLUMNS}),
         (Hide(("a", "b*")), {"op": "hide", "objects": ["a", "b*"]}),
         (Material((0.1, 0.2, 0.3), "sofa"), {"op": "material", "object": "sofa", "albedo": [0.1, 0.2, 0.3]}),
         (
@@ -77,3 +84,23 @@ def test_settings_of_an_upload_become_a_query() -> None:
     )
     assert query["samples_per_element"] == "8" and query["bake"] == "false" and query["spacing"] == "0.1"
     assert query["environment"] == "1.0,0.5,0.0" and query["layers"] == '{"x": ["l"]}'
+
+
+def test_a_document_goes_with_the_files_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "a" / "data").mkdir(parents=True)
+    (tmp_path / "a" / "data" / "room 1.bin").write_bytes(b"1234")
+    (tmp_path / "wood.png").write_bytes(b"png")
+    file = tmp_path / "a" / "room.gltf"
+    uris = {
+        "buffers": [{"uri": "data/room%201.bin"}, {"uri": "data:;base64,AAAA"}],
+        "images": [{"uri": "../wood.png"}, {"uri": "missing.png"}, {"bufferView": 0}],
+    }
+    file.write_text(json.dumps(uris))
+    packed = read_file(file)
+    assert media_type(packed) == "application/zip" and packed == read_file(str(file))
+    with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+        assert sorted(archive.namelist()) == ["above/data/room 1.bin", "above/room.gltf", "wood.png"]
+        assert archive.read("wood.png") == b"png"
+    for alone in ('{"buffers": [{"uri": "nowhere.bin"}]}', "no document", "[]"):
+        file.write_text(alone)
+        assert read_file(file) == alone.encode()

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use super::edit_nodes::Reference;
 use super::misread::tagged;
 
 /// Changes colour or intensity of lights.
@@ -17,8 +18,8 @@ pub struct Relight {
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RelightOne {
-    /// Its name.
-    #[schema(example = "lamp")]
+    /// Its name or node.
+    #[schema(example = "lamp", value_type = Reference)]
     pub light: String,
     /// Linear RGB factor.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -147,8 +148,8 @@ pub struct Sky {
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RemoveLight {
-    /// Its name.
-    #[schema(example = "lamp")]
+    /// Its name or node.
+    #[schema(example = "lamp", value_type = Reference)]
     pub light: String,
 }
 
@@ -156,8 +157,8 @@ pub struct RemoveLight {
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MoveLight {
-    /// Its name.
-    #[schema(example = "lamp")]
+    /// Its name or node.
+    #[schema(example = "lamp", value_type = Reference)]
     pub light: String,
     /// New place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -182,7 +183,7 @@ pub struct GroupLights {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(example = "ceiling")]
     pub name: Option<String>,
-    /// Names of lights.
-    #[schema(example = json!(["lamp-1", "lamp-2"]))]
+    /// Names or nodes of lights.
+    #[schema(example = json!(["lamp-1", "lamp-2"]), value_type = Vec<Reference>)]
     pub lights: Vec<String>,
 }

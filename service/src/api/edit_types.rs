@@ -8,6 +8,7 @@ pub use super::edit_light_types::{
     DirectionalLight, EnvironmentLight, GroupLights, InsertLight, MoveLight, NewLight, PointLight, Relight, RelightOne,
     RemoveLight, Sky, SpotLight,
 };
+use super::edit_nodes::Reference;
 use super::job_types::JobPriority;
 use super::misread::{FromFields, Misread, from_value, tagged, take};
 
@@ -148,8 +149,8 @@ pub struct Insert {
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Remove {
-    /// Names; `*` matches any part of a name. A request may hold 4096 names, 64 of them with a `*`.
-    #[schema(example = json!(["sofa"]))]
+    /// Names, in which `*` matches any part of a name, or nodes. A request may hold 4096 of them, 64 with a `*`.
+    #[schema(example = json!(["sofa"]), value_type = Vec<Reference>)]
     pub objects: Vec<String>,
 }
 
@@ -157,8 +158,8 @@ pub struct Remove {
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Move {
-    /// Its name.
-    #[schema(example = "sofa")]
+    /// Its name or node.
+    #[schema(example = "sofa", value_type = Reference)]
     pub object: String,
     /// Object space to world space, column-major, metres; replaces the present one.
     #[schema(example = json!([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.5, 0, 2, 1]))]
@@ -173,9 +174,9 @@ pub struct Move {
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Repaint {
-    /// Name of the object; without it the edit names a material.
+    /// Name or node of the object; without it the edit names a material.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(example = "sofa")]
+    #[schema(example = "sofa", value_type = Option<Reference>)]
     pub object: Option<String>,
     /// Name of the material in the file; without it all materials of the object.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -205,8 +206,8 @@ pub enum PaintedTexture {
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Hide {
-    /// Names; `*` matches any part of a name. Those that are hidden stay so.
-    #[schema(example = json!(["sofa"]))]
+    /// Names, in which `*` matches any part of a name, or nodes. Those that are hidden stay so.
+    #[schema(example = json!(["sofa"]), value_type = Vec<Reference>)]
     pub objects: Vec<String>,
 }
 
@@ -214,8 +215,8 @@ pub struct Hide {
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Show {
-    /// Names; `*` matches any part of a name. Those that are not hidden stay so.
-    #[schema(example = json!(["sofa"]))]
+    /// Names, in which `*` matches any part of a name, or nodes. Those that are not hidden stay so.
+    #[schema(example = json!(["sofa"]), value_type = Vec<Reference>)]
     pub objects: Vec<String>,
 }
 

@@ -12,6 +12,7 @@ use serde_json::Value;
 
 use super::edit_beside::{to_budget, to_focus, to_tiles};
 use super::edit_names::check_names;
+use super::edit_nodes;
 use super::edit_parse::{Parsed, parse, to_edits, used_assets};
 use super::edit_types::{self, EditRequest};
 use super::extract::{ApiPath, ETags, read_body, require_content_type};
@@ -52,6 +53,7 @@ use crate::store::scene::SceneEntry;
         ("move" = (value = json!({"op": "move", "object": "sofa", "transform": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.5, 0, 2, 1], "focus": {"point": [0.5, 0, 2], "radius": 1.5}}))),
         ("material" = (value = json!({"op": "material", "object": "sofa", "albedo": [0.6, 0.1, 0.1]}))),
         ("repaint" = (value = json!({"op": "material", "material": "wood", "albedo": [0.3, 0.2, 0.1]}))),
+        ("by_node" = (value = json!({"edits": [{"op": "remove", "objects": [{"node": 3}]}, {"op": "move_light", "light": {"id": "lamp-7f3a"}, "position": [1, 2, 0]}]}))),
         ("hide" = (value = json!({"op": "hide", "objects": ["sofa"]}))),
         ("show" = (value = json!({"op": "show", "objects": ["sofa"]}))),
         ("undo" = (value = json!({"op": "undo"}))),
@@ -98,6 +100,7 @@ pub(super) async fn create(
     if let Some(tags) = if_match {
         check_if_match(&tags, head.sequence)?;
     }
+    let body = edit_nodes::with_names(&body, &head.world.scene)?;
     let request = read_request(&app, &head, &body)?;
 
     // On the pool to the end: once begun, an edit is accepted even where the client has gone away.
@@ -244,7 +247,8 @@ pub fn read_edits(
         held.insert(id, scene, 0);
     }
     let config = Config::default();
-    let parsed = parse(body, config.limits.edits_per_request).map_err(told)?;
+    let body = edit_nodes::with_names(&Bytes::copy_from_slice(body), &world.scene).map_err(told)?;
+    let parsed = parse(&body, config.limits.edits_per_request).map_err(told)?;
     to_budget(parsed.budget, "budget", config.defaults.edit_samples, &config).map_err(told)?;
     read_importance(&parsed, world, &config).map_err(told)?;
     to_edits(&parsed, &held, &History::new(0), Allowed::ASKED).map_err(told)

@@ -13,6 +13,7 @@ mod edit_beside;
 mod edit_light_types;
 mod edit_lights;
 mod edit_names;
+mod edit_nodes;
 pub(crate) mod edit_parse;
 pub mod edit_types;
 mod edits;

@@ -2,11 +2,14 @@
 
 use axum::extract::Query;
 use axum::http::Uri;
+use glam::{DVec3, Vec3};
+use rebake_core::scene::{Light, LightKind, Material, Mesh, NodeSource, Object, Scene};
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
 use super::super::{
-    accuracy, atlas, deltas, edit_parse, jobs, lightmap, objects, probes, render, sample, scenes, upload_query,
+    accuracy, atlas, deltas, edit_nodes, edit_parse, jobs, lightmap, objects, probes, render, sample, scenes,
+    upload_query,
 };
 use super::document;
 
@@ -53,7 +56,11 @@ fn read_query(operation: &str, query: &str) -> Result<(), String> {
 fn read_body(operation: &str, body: &Value) -> Result<(), String> {
     let text = body.to_string();
     match operation {
-        "create_edit" => edit_parse::parse(text.as_bytes(), 8).map(drop).map_err(|problem| problem.to_string()),
+        "create_edit" => {
+            let named =
+                edit_nodes::with_names(&text.into(), &scene_of_nodes()).map_err(|problem| problem.to_string())?;
+            edit_parse::parse(&named, 8).map(drop).map_err(|problem| problem.to_string())
+        }
         "patch_scene" => serde_json::from_str::<scenes::ScenePatch>(&text).map(drop).map_err(|error| error.to_string()),
         "sample_light" => {
             serde_json::from_str::<sample::SampleRequest>(&text).map(drop).map_err(|error| error.to_string())
@@ -63,6 +70,19 @@ fn read_body(operation: &str, body: &Value) -> Result<(), String> {
         }
         _ => Err("this test does not know the operation".to_owned()),
     }
+}
+
+/// One that has the nodes of the examples.
+fn scene_of_nodes() -> Scene {
+    let node = |index, id: &str| NodeSource { index, id: Some(id.into()) };
+    let mesh = Mesh::quad(Vec3::ZERO, Vec3::X, Vec3::Y);
+    let mut object = Object::new("sofa", mesh, Material::diffuse(Vec3::ONE));
+    object.node = Some(node(3, "sofa"));
+    let kind = LightKind::Point { position: DVec3::ONE, range: None };
+    let lamp = Light { name: "lamp".to_owned(), kind, color: Vec3::ONE, intensity: 1.0 };
+    let mut scene = Scene::from_objects(vec![object]).with_light(lamp);
+    scene.light_nodes.insert("lamp".to_owned(), node(4, "lamp-7f3a"));
+    scene
 }
 
 #[test]

@@ -20,6 +20,23 @@ Vector = Union[Sequence[float], "np.ndarray[Any, Any]"]
 
 
 @dataclass(frozen=True)
+class Node:
+    """An object or a light by the node of the scene's file that it is, in place of its name: its index there, or the
+    `extras.id` that the node has."""
+
+    node: int | None = None
+    id: str | None = None
+
+    def __post_init__(self) -> None:
+        if (self.node is None) == (self.id is None):
+            raise ValueError("node: give the index of a node or its id, one of them")
+
+
+#: An object or a light: its name, or its node.
+Named = Union[str, Node]
+
+
+@dataclass(frozen=True)
 class PointLight:
     """Shines in all directions. Candela; `range`: where its light ends, metres."""
 
@@ -81,7 +98,7 @@ class Insert:
 class Remove:
     """Takes objects out, with the lights on them. `*` matches any part of a name."""
 
-    objects: str | Sequence[str]
+    objects: Named | Sequence[Named]
     op: ClassVar[str] = "remove"
 
 
@@ -90,7 +107,7 @@ class Move:
     """Gives an object a new place: `transform`, from object space to world space, replaces the present one. `drag`: make way
     for the next step as soon as something is to be seen."""
 
-    object: str
+    object: Named
     transform: ArrayLike
     drag: bool | None = None
     op: ClassVar[str] = "move"
@@ -104,7 +121,7 @@ class Material:
     """
 
     albedo: Vector
-    object: str | None = None
+    object: Named | None = None
     material: str | None = None
     texture: Literal["replace", "multiply"] | None = None
     op: ClassVar[str] = "material"
@@ -114,7 +131,7 @@ class Material:
 class Hide:
     """Takes objects out of the light, with the lights on them, until :class:`Show`."""
 
-    objects: str | Sequence[str]
+    objects: Named | Sequence[Named]
     op: ClassVar[str] = "hide"
 
 
@@ -122,7 +139,7 @@ class Hide:
 class Show:
     """Brings hidden objects back."""
 
-    objects: str | Sequence[str]
+    objects: Named | Sequence[Named]
     op: ClassVar[str] = "show"
 
 
@@ -130,7 +147,7 @@ class Show:
 class LightChange:
     """Changes colour or intensity of a light; what is not given stays. The API's `relight`, of one light."""
 
-    light: str
+    light: Named
     color: Vector | None = None
     intensity: float | None = None
     op: ClassVar[str] = "relight"
@@ -149,7 +166,7 @@ class InsertLight:
 class RemoveLight:
     """Takes a light away. An emissive surface stays as an object that emits nothing."""
 
-    light: str
+    light: Named
     op: ClassVar[str] = "remove_light"
 
 
@@ -157,7 +174,7 @@ class RemoveLight:
 class MoveLight:
     """Moves a point or spot light, turns a spot or directional light. `drag`: show an estimate at once."""
 
-    light: str
+    light: Named
     position: Vector | None = None
     direction: Vector | None = None
     drag: bool | None = None
@@ -180,7 +197,7 @@ class Sky:
 class GroupLights:
     """Lets lights share a layer of the light map, or, without a name, belong to no group any more."""
 
-    lights: Sequence[str]
+    lights: Sequence[Named]
     name: str | None = None
     op: ClassVar[str] = "group_lights"
 
@@ -235,13 +252,15 @@ def _json(name: str, value: Any) -> Any:
         return column_major(value)
     if name in _LENGTHS:
         return _numbers(name, value, (_LENGTHS[name],)).tolist()
-    if name == "objects" and isinstance(value, str):
-        return [value]
+    if name == "objects" and isinstance(value, Named.__args__):  # type: ignore[attr-defined]
+        value = [value]
+    if isinstance(value, Node):
+        return _fields(value)
     if dataclasses.is_dataclass(value):
         return {"kind": getattr(value, "kind"), **_fields(value)}  # noqa: B009
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
-    return list(value) if isinstance(value, (tuple, list)) else value
+    return [_json("", one) for one in value] if isinstance(value, (tuple, list)) else value
 
 
 def column_major(transform: ArrayLike) -> list[float]:
