@@ -37,6 +37,7 @@ export class Arrivals {
 
   /** Something is dropped onto the scene: it comes to stand there. */
   async place(what: File | string, at: MouseEvent): Promise<void> {
+    if (!this.page.scene()) throw new Error('A picture of the sky belongs to a scene: open one first, or choose it at its upload.');
     const where = this.stage.spotUnder(at) ?? this.stage.ahead();
     const thing = typeof what === 'string' ? this.library.find(what) : await this.library.add(what);
     this.page.panels();

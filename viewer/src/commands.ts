@@ -170,10 +170,15 @@ export class Commands {
     if (await this.run('duplicate', [...objects, ...lights], edits)) this.around.choose(copies);
   }
 
-  /** Puts something from the library onto a surface. */
+  /** Puts something from the library onto a surface; a picture of the sky is where the sky was. */
   async insert({ asset, name: wanted, box }: Thing, where: Spot): Promise<void> {
     const scene = this.around.scene();
     if (!scene) return;
+    if (!box) {
+      const sky = await this.editor.run(`sky ${wanted}`, { op: 'sky', asset });
+      if (sky) this.around.choose([{ kind: 'light', name: 'environment' }]);
+      return;
+    }
     const name = freeName(wanted, [...scene.objects, ...scene.lights].map((one) => one.name));
     const transform = onto(box, where, this.around.grid()).toArray();
     if (await this.editor.run(`insert ${name}`, { op: 'insert', asset, name, transform })) this.around.choose([{ kind: 'object', name }]);

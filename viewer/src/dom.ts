@@ -20,8 +20,11 @@ export function button(text: string, action: () => void, kind = ''): HTMLButtonE
   return element;
 }
 
-/** What is seen of an object that is called by a file's name. */
-export const baseName = (file: File) => file.name.replace(/\.(glb|gltf|zip)$/i, '');
+/** What is seen of a thing that is called by a file's name. */
+export const baseName = (file: File) => file.name.replace(/\.(glb|gltf|zip|hdr|exr)$/i, '');
+
+/** Whether a file is a picture of the sky, by its name. */
+export const isSky = (file: File) => /\.(hdr|exr)$/i.test(file.name);
 
 /** A name that is not taken yet: itself, or with a number behind it. */
 export function freeName(wanted: string, taken: Iterable<string>): string {

@@ -1,6 +1,6 @@
 // Files that a person chooses, and what is dropped on the page.
 
-import { $, baseName } from './dom';
+import { $, baseName, isSky } from './dom';
 
 /** Calls `take` with every file chosen in an input. */
 export function onFile(id: string, take: (file: File) => void): void {
@@ -53,8 +53,9 @@ export function watchDrops(drops: Drops): void {
     const file = event.dataTransfer?.files[0];
     if (thing) return use(event) === 'place' ? drops.place(thing, event) : undefined;
     if (!file) return;
-    // An archive holds a scene; so does what is dropped where there is none.
-    const kind = baseName(file) !== file.name && file.name.toLowerCase().endsWith('.zip') ? 'scene' : use(event);
+    // An archive holds a scene; so does what is dropped where there is none. A sky is where it is dropped, there.
+    const isScene = baseName(file) !== file.name && file.name.toLowerCase().endsWith('.zip');
+    const kind = isScene ? 'scene' : isSky(file) && use(event) !== 'library' ? 'place' : use(event);
     if (kind === 'place') drops.place(file, event);
     else if (kind === 'library') drops.library(file);
     else drops.scene(file);

@@ -145,7 +145,7 @@ async function open(id: string): Promise<void> {
   nameCameras(scene);
   useCamera();
   feed.follow(id);
-  await editor.refresh();
+  await Promise.all([editor.refresh(), library.refresh()]);
   panels();
   if (scene?.lights.length === 0) offerLight();
 }

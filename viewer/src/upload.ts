@@ -11,8 +11,24 @@ const value = (id: string): number | undefined => {
   return field(id).value.trim() && number > 0 ? number : undefined;
 };
 
+/** The picture that is chosen for the sky, as an asset. */
+let sky: { file: File; asset: Promise<string> } | null = null;
+
+async function skyAsset(): Promise<string | undefined> {
+  const file = (field('sky-picture') as HTMLInputElement).files?.[0];
+  if (!file) return undefined;
+  if (sky?.file !== file) sky = { file, asset: client.asset(file).then(({ asset }) => asset) };
+  try {
+    return await sky.asset;
+  } catch (error) {
+    // It is sent again the next time.
+    sky = null;
+    throw error;
+  }
+}
+
 /** The settings as they stand in the form; what is left empty is the service's to choose. */
-function settings(): Upload {
+async function settings(): Promise<Upload> {
   const target: Budget = {};
   const [samples, time, error] = [value('samples'), value('seconds'), value('error')];
   if (samples) target.samples_per_element = Math.round(samples);
@@ -27,10 +43,14 @@ function settings(): Upload {
   if (spacing) made.spacing = spacing;
   if (texels) made.texels_per_metre = texels;
   if (Object.keys(target).length) made.target = target;
-  const sky = field('sky').value;
+  const kind = field('sky').value;
   const strength = value('sky-strength') ?? 1;
-  if (sky === 'default') made.default_sky = true;
-  else if (sky === 'colour') made.environment = fromHex(field('sky-colour').value)!.map((c) => c * strength) as [number, number, number];
+  if (kind === 'default') made.default_sky = true;
+  else if (kind === 'colour') made.environment = fromHex(field('sky-colour').value)!.map((c) => c * strength) as [number, number, number];
+  else if (kind === 'picture') {
+    const picture = await skyAsset();
+    if (picture) Object.assign(made, { sky: picture, sky_strength: strength, sky_rotation: Number(field('sky-rotation').value) || 0 });
+  }
   return made;
 }
 
@@ -44,12 +64,16 @@ export function ask(file: File): Promise<Upload | null> {
   let timer = 0;
   const estimate = async () => {
     const mine = ++request;
-    $('up-sky-more').hidden = field('sky').value !== 'colour';
+    const kind = field('sky').value;
+    $('up-sky-of-colour').hidden = kind !== 'colour';
+    $('up-sky-of-picture').hidden = kind !== 'picture';
+    $('up-sky-more').hidden = kind !== 'colour' && kind !== 'picture';
     $('up-plan').ariaBusy = 'true';
     $('up-plan').replaceChildren('Looking at the file …');
     try {
-      const plan = await client.plan(file, settings());
-      if (mine === request) $('up-plan').replaceChildren(...describe(plan, settings()));
+      const wanted = await settings();
+      const plan = await client.plan(file, wanted);
+      if (mine === request) $('up-plan').replaceChildren(...describe(plan, wanted));
     } catch (error) {
       if (mine !== request) return;
       $('up-plan').replaceChildren(make('strong', { class: 'bad' }, error instanceof Error ? error.message : String(error)));
@@ -66,21 +90,22 @@ export function ask(file: File): Promise<Upload | null> {
   void estimate();
   dialog.returnValue = '';
   dialog.showModal();
-  return new Promise((answer) => {
+  return new Promise((answer, refuse) => {
     dialog.onclose = () => {
       request++;
       clearTimeout(timer);
-      answer(dialog.returnValue === 'ok' ? settings() : null);
+      if (dialog.returnValue === 'ok') settings().then(answer, refuse);
+      else answer(null);
     };
   });
 }
 
-function describe(plan: ScenePlan, { default_sky, environment }: Upload): HTMLElement[] {
+function describe(plan: ScenePlan, { default_sky, environment, sky }: Upload): HTMLElement[] {
   const count = (n: number) => n.toLocaleString('en');
   const lines = [
     `${count(plan.elements)} elements, one per ${plan.spacing.toPrecision(2)} m; ${count(Math.ceil(plan.memory_bytes / 1e6))} MB of memory`,
     `${count(plan.objects)} objects, ${count(plan.lights)} lights`,
   ];
-  if (plan.lights === 0 && !default_sky && !environment) lines.push('There is no light in it: choose a sky above, or add lamps later.');
+  if (plan.lights === 0 && !default_sky && !environment && !sky) lines.push('There is no light in it: choose a sky above, or add lamps later.');
   return [...lines, ...plan.warnings].map((line) => make('p', {}, line));
 }

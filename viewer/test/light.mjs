@@ -143,7 +143,7 @@ export async function checkLight({ page, room, objectName, check, shot, state, c
   const lasting = (route) => route.continue({ postData: JSON.stringify({ ...route.request().postDataJSON(), budget: { samples_per_element: 8_000 } }) });
   await page.setInputFiles('#asset-file', room);
   await page.route('**/edits', lasting);
-  await page.locator('#assets [role=option]').first().click();
+  await page.locator(`#assets [data-name="${room.split('/').at(-1).replace('.glb', '')}"]`).click();
   await page.locator('#job button', { hasText: 'Cancel' }).click();
   await page.unroute('**/edits', lasting);
   await page.waitForFunction(() => window.rebake.state().jobs[0].state === 'canceled');

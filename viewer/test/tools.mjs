@@ -9,6 +9,7 @@ export async function checkTools(about) {
   await copies(about);
   await several(about);
   await drops(about);
+  await skies(about);
   await lamps(about);
   await drag(about);
   await updates(about);
@@ -169,6 +170,25 @@ async function drops(about) {
   await shot('20c-dropped');
   await undo(about, 2);
   check(!(await state()).scene.objects.some((o) => o.name.startsWith('box')), 'and both are taken back');
+}
+
+/** A picture of the sky, dropped onto the scene; the library has it, after a reload too. */
+async function skies(about) {
+  const { page, check, settled, state } = about;
+  await page.evaluate(() => {
+    // Radiance, one everywhere: eight texels across, four down.
+    const head = new TextEncoder().encode('#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4 +X 8\n');
+    const dataTransfer = new DataTransfer();
+    dataTransfer.items.add(new File([head, new Uint8Array(Array(32).fill([128, 128, 128, 129]).flat())], 'noon.hdr'));
+    const init = { bubbles: true, cancelable: true, clientX: 600, clientY: 300, dataTransfer };
+    for (const type of ['dragover', 'drop']) document.getElementById('canvas').dispatchEvent(new DragEvent(type, init));
+  });
+  await page.waitForFunction(() => window.rebake.state().scene.lights.some((l) => l.kind === 'environment') && window.rebake.state().fresh);
+  await settled();
+  check((await page.locator('#assets [data-name="noon"]').textContent()).includes('sky'), 'a picture of the sky that is dropped lights the scene, and is in the library as one');
+  await undo(about);
+  check(!(await state()).scene.lights.some((l) => l.kind === 'environment'), 'and is taken back');
+  await page.evaluate(() => window.rebake.client.assets()).then((assets) => check(assets.some((one) => one.picture) && assets.some((one) => one.bounds && one.name), 'the service tells what can be inserted, where it is and how it is called'));
 }
 
 async function lists(about) {
