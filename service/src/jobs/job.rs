@@ -49,6 +49,18 @@ pub enum RunEnd {
     Interrupted,
 }
 
+impl RunEnd {
+    /// A word for people.
+    pub(super) fn as_str(&self) -> &'static str {
+        match self {
+            RunEnd::Ended(Outcome::Succeeded) => "succeeded",
+            RunEnd::Ended(Outcome::Failed(_)) => "failed",
+            RunEnd::Ended(Outcome::Canceled) => "canceled",
+            RunEnd::Interrupted => "interrupted",
+        }
+    }
+}
+
 impl From<Outcome> for RunEnd {
     fn from(outcome: Outcome) -> RunEnd {
         RunEnd::Ended(outcome)

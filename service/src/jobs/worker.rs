@@ -35,7 +35,8 @@ pub(crate) struct Run {
 pub(crate) fn spawn(jobs: Arc<Jobs>, run: Run, pool: &Arc<ThreadPool>) {
     let its_pool = pool.clone();
     pool.spawn(move || {
-        let span = tracing::info_span!("job", job = jobs.ids.job(run.job), scene = run.scene.id, kind = ?run.kind);
+        let span =
+            tracing::info_span!("job", job = jobs.ids.job(run.job), scene = run.scene.id, kind = run.kind.as_str());
         let _in_span = span.entered();
         tracing::info!(samples = run.spec.budget.samples_per_element, seed = run.spec.seed, "started");
         let started = std::time::Instant::now();
@@ -46,7 +47,7 @@ pub(crate) fn spawn(jobs: Arc<Jobs>, run: Run, pool: &Arc<ThreadPool>) {
             run.scene.distrust();
         }
         let ms = started.elapsed().as_millis() as u64;
-        tracing::info!(?end, ms, version = run.scene.published().version, "ended");
+        tracing::info!(end = end.as_str(), ms, version = run.scene.published().version, "ended");
         let remains =
             Remains { scene: run.scene.clone(), sequence: run.spec.sequence, asks_for_more: run.asks_for_more(&end) };
         let job = run.job;
