@@ -246,7 +246,7 @@ impl Default for Timeouts {
             drain: Duration::from_secs(10),
             restore: Duration::from_secs(10),
             upload_slot: Duration::from_secs(60),
-            upload_answer: Duration::from_millis(500),
+            upload_answer: Duration::from_millis(800),
             preparing: Duration::from_secs(60),
             answer_stall: Duration::from_secs(5),
             answer_room: Duration::from_secs(60),
