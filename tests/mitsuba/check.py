@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
-from common import ROOT, arguments, cargo, load_scene, prepare  # noqa: E402
+from common import ROOT, arguments, cargo, load_scene, prepare, radiance_at  # noqa: E402
 
 
 def parse():
@@ -28,38 +28,6 @@ def outside(args):
     subprocess.run([*command, str(args.work), str(args.paths)], check=True)
     again = [python, __file__, "--inside", "--paths", str(args.paths), "--work", str(args.work)]
     return subprocess.run(again, env=environment).returncode
-
-
-def radiance_at(scene, origins, normals, seed, samples):
-    """Mean incoming radiance by the cosine, direct and indirect, with Mitsuba's own path integrator.
-
-    Direct light by Mitsuba's emitter sampling; indirect light by its path integrator along cosine-distributed rays, with
-    what those rays meet of the lamps themselves hidden."""
-    import drjit as dr
-    import mitsuba as mi
-    import numpy as np
-    count = len(origins)
-    index = dr.repeat(dr.arange(mi.UInt32, count), samples)
-    origin = dr.gather(mi.Point3f, mi.Point3f(origins.T.copy()), index)
-    normal = dr.gather(mi.Normal3f, mi.Normal3f(normals.T.copy()), index)
-    sampler = mi.load_dict({"type": "independent", "sample_count": samples})
-    sampler.seed(seed, count * samples)
-    point = dr.zeros(mi.SurfaceInteraction3f)
-    point.p, point.n, point.t, point.sh_frame = origin, normal, mi.Float(1), mi.Frame3f(normal)
-    sample, weight = scene.sample_emitter_direction(point, sampler.next_2d(), True)
-    direct = weight * dr.maximum(0, dr.dot(sample.d, normal)) / dr.pi
-    direction = mi.Frame3f(normal).to_world(mi.warp.square_to_cosine_hemisphere(sampler.next_2d()))
-    ray = mi.RayDifferential3f(mi.Ray3f(origin, direction))
-    integrator = mi.load_dict({"type": "path", "max_depth": 64, "rr_depth": 5})
-    total, _, _ = integrator.sample(scene, sampler, ray)
-    hit = scene.ray_intersect(ray)
-    emitted = dr.select(hit.is_valid(), hit.emitter(scene).eval(hit), 0)
-    indirect = total - emitted
-
-    def mean(color):
-        return np.stack([np.array(dr.block_sum(channel, samples)) for channel in color], 1) / samples
-
-    return mean(direct), mean(indirect)
 
 
 def inside(args):

@@ -6,6 +6,7 @@ import argparse
 import glob
 import json
 import os
+import socket
 import struct
 import subprocess
 import venv
@@ -138,3 +139,72 @@ def load_scene(path, smooth=False, **more):
         parameters.update()
         scene[f"shape{index}"] = mesh
     return mi.load_dict(scene)
+
+
+def radiance_at(scene, origins, normals, seed, samples):
+    """Mean incoming radiance by the cosine (irradiance / pi) per point, direct and indirect, with Mitsuba's own path integrator.
+
+    Direct light by Mitsuba's emitter sampling; indirect light by its path integrator along cosine-distributed rays, with
+    what those rays meet of the lamps and the sky themselves hidden."""
+    import drjit as dr
+    import mitsuba as mi
+    import numpy as np
+    count = len(origins)
+    index = dr.repeat(dr.arange(mi.UInt32, count), samples)
+    origin = dr.gather(mi.Point3f, mi.Point3f(origins.T.copy()), index)
+    normal = dr.gather(mi.Normal3f, mi.Normal3f(normals.T.copy()), index)
+    sampler = mi.load_dict({"type": "independent", "sample_count": samples})
+    sampler.seed(seed, count * samples)
+    point = dr.zeros(mi.SurfaceInteraction3f)
+    point.p, point.n, point.t, point.sh_frame = origin, normal, mi.Float(1), mi.Frame3f(normal)
+    sample, weight = scene.sample_emitter_direction(point, sampler.next_2d(), True)
+    direct = weight * dr.maximum(0, dr.dot(sample.d, normal)) / dr.pi
+    direction = mi.Frame3f(normal).to_world(mi.warp.square_to_cosine_hemisphere(sampler.next_2d()))
+    ray = mi.RayDifferential3f(mi.Ray3f(origin, direction))
+    integrator = mi.load_dict({"type": "path", "max_depth": 64, "rr_depth": 5})
+    total, _, _ = integrator.sample(scene, sampler, ray)
+    hit = scene.ray_intersect(ray)
+    emitted = hit.emitter(scene).eval(hit)
+    indirect = total - emitted
+
+    def mean(color):
+        return np.stack([np.array(dr.block_sum(channel, samples)) for channel in color], 1) / samples
+
+    return mean(direct), mean(indirect)
+
+
+def prepare_service(args):
+    """As `prepare`, with what the Python client of the service needs, and the service's binary."""
+    python, environment = prepare(args.venv)
+    subprocess.run([python, "-m", "pip", "install", "--quiet", "httpx", "OpenEXR"], check=True)
+    args.work.mkdir(parents=True, exist_ok=True)
+    if not args.binary:
+        subprocess.run(["cargo", "build", "--release"], cwd=ROOT, check=True)
+    environment["PYTHONPATH"] = str(ROOT / "clients/python/src")
+    return python, environment, args.binary or ROOT / "target/release/rebake"
+
+
+def baked(binary, files, samples, sky=None, **settings):
+    """Per file positions, normals, areas, direct and indirect light of all elements, by a service that runs meanwhile."""
+    import numpy as np
+    from rebake import Client
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    command = [binary, "serve", "--listen", address]
+    service = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        with Client(f"http://{address}", patience=60) as client:
+            if sky:
+                settings["sky"] = client.add_asset(sky).asset
+            for file in files:
+                scene = client.upload(file, bake=False, **settings)
+                info = scene.bake(samples=samples)
+                error, warnings = info.estimated_rmse, "; ".join(info.warnings)
+                print(f"{Path(file).name}: {info.elements} elements, stated error {error:.4f} {warnings}", flush=True)
+                elements = scene.elements()
+                light = (np.array(scene.light_map(part=part).values) for part in ("direct", "indirect"))
+                yield elements.position, elements.normal, elements.area, *light
+    finally:
+        service.terminate()
+        service.wait()

@@ -3,17 +3,18 @@
 
     check.py PATH/TO/rebake [-o TABLE.md] [FOLDER ...]          (needs npm, and Python with numpy and Pillow)
 
-Files are those of the npm packages below, fetched into a temporary directory, and of the folders that are named; none is part
-of this repository. Every file is uploaded without a bake. Albedo is the area-weighted mean over each object of base colour
+Files are those of the npm and Debian packages below, fetched into a temporary directory, and of the folders that are named;
+none is part of this repository. A `.gltf` goes as a zip archive with the files beside it. Every file is uploaded without a bake. Albedo is the area-weighted mean over each object of base colour
 factor x texture x COLOR_0 in linear light, emission that of emissive factor x strength x texture, both taken here by
 sampling the triangles of the file; the service tells the first of each object, and the second in the materials of its
 exported mesh. Exits 1 where a file that both read differs by more than the bounds below."""
-import argparse, base64, collections, glob, io, json, os, re, socket, struct, subprocess, sys, tempfile, time
-import urllib.error, urllib.request
+import argparse, base64, collections, glob, io, json, os, re, socket, struct, subprocess, sys, tempfile, time, zipfile
+import urllib.error, urllib.parse, urllib.request
 import numpy as np
 from PIL import Image
 
 PACKAGES = ["@webxr-input-profiles/assets@1.0.20", "@pmndrs/assets@1.7.0"]
+DEBIAN = ["assimp-testmodels"]    # left out where apt-get has it not
 SAMPLES = 40_000          # of each object
 ALBEDO, EMISSION = 0.02, 0.03   # absolute; relative to the brightest of an object, plus 0.002 of it
 Image.MAX_IMAGE_PIXELS = None
@@ -26,17 +27,30 @@ class Unread(Exception):
 
 
 class File:
-    def __init__(self, data):
-        n = struct.unpack_from("<I", data, 12)[0]
-        self.json, self.bin = json.loads(data[20:20 + n]), data[28 + n:]
+    def __init__(self, data, folder=None):
+        """Binary glTF, or a document whose files lie in a folder."""
+        self.folder, binary = folder, None
+        if data[:4] == b"glTF":
+            n = struct.unpack_from("<I", data, 12)[0]
+            data, binary = data[20:20 + n], data[28 + n:]
+        self.json = json.loads(data.decode("utf-8-sig"))
+        self.buffers = [self.named(b["uri"]) if "uri" in b else binary for b in self.json.get("buffers", [])]
         if any(e in self.json.get("extensionsUsed", []) for e in UNREAD):
             raise Unread("compressed or instanced: not read here")
         self.pictures = {}
 
+    def named(self, uri):
+        if uri.startswith("data:"):
+            return base64.b64decode(uri.split(",", 1)[1])
+        path = os.path.join(self.folder or "", urllib.parse.unquote(uri))
+        if not (self.folder and os.path.isfile(path)):
+            raise Unread("a file is missing")
+        return open(path, "rb").read()
+
     def view(self, index):
         v = self.json["bufferViews"][index]
         start = v.get("byteOffset", 0)
-        return self.bin[start:start + v["byteLength"]], v.get("byteStride")
+        return self.buffers[v["buffer"]][start:start + v["byteLength"]], v.get("byteStride")
 
     def accessor(self, index):
         a = self.json["accessors"][index]
@@ -57,10 +71,12 @@ class File:
         """Linear RGB and alpha of a texture, with what its place is."""
         texture = self.json["textures"][info["index"]]
         source = texture.get("extensions", {}).get("EXT_texture_webp", {}).get("source", texture.get("source"))
-        if source is None or "bufferView" not in self.json["images"][source]:
+        if source is None:
             raise Unread("a picture is not in the file")
         if source not in self.pictures:
-            picture = Image.open(io.BytesIO(self.view(self.json["images"][source]["bufferView"])[0]))
+            image = self.json["images"][source]
+            data = self.view(image["bufferView"])[0] if "bufferView" in image else self.named(image["uri"])
+            picture = Image.open(io.BytesIO(data))
             rgba = np.asarray(picture.convert("RGBA")) / 255.0
             rgb = rgba[..., :3]
             self.pictures[source] = np.where(rgb <= .04045, rgb / 12.92, ((rgb + .055) / 1.055) ** 2.4), rgba[..., 3]
@@ -104,12 +120,17 @@ class File:
     def means(self, mesh, matrix):
         rng, parts = np.random.default_rng(1), []
         for p in self.json["meshes"][mesh]["primitives"]:
-            if p.get("mode", 4) != 4 or "POSITION" not in p["attributes"]:
-                continue
+            mode = p.get("mode", 4)
+            if mode < 4 or "POSITION" not in p["attributes"]:
+                continue    # points and lines
             attributes = {k: self.accessor(v) for k, v in p["attributes"].items()
                           if re.match("POSITION|TEXCOORD_[01]|COLOR_0", k)}
             count = len(attributes["POSITION"])
-            corners = self.accessor(p["indices"]).reshape(-1, 3) if "indices" in p else np.arange(count).reshape(-1, 3)
+            order = self.accessor(p["indices"])[:, 0] if "indices" in p else np.arange(count)
+            first = np.arange(max(len(order) - 2, 0))[:, None]
+            # Lists, strips (each other one turned), fans.
+            corners = order[{4: first[::3] + [0, 1, 2], 5: first + np.where(first % 2, [0, 2, 1], [0, 1, 2]),
+                             6: np.hstack([0 * first, first + 1, first + 2])}[mode]]
             a, b, c = (attributes["POSITION"][corners] @ matrix[:3, :3].T).transpose(1, 0, 2)
             parts.append((p, attributes, corners.astype(np.int64), np.linalg.norm(np.cross(b - a, c - a), axis=1)))
         total = sum(area.sum() for *_, area in parts)
@@ -187,7 +208,7 @@ class Service:
 
     def call(self, method, path, body=None):
         request = urllib.request.Request(f"http://127.0.0.1:{self.port}{path}", data=body, method=method,
-                                         headers={"Content-Type": "model/gltf-binary"} if body else {})
+                                         headers={"Content-Type": media_type(body)} if body else {})
         try:
             with urllib.request.urlopen(request, timeout=600) as answer:
                 return answer.status, answer.read()
@@ -201,15 +222,22 @@ class Service:
         scene, seconds = json.loads(body), time.time() - start
         if status != 201:
             return None, f"{status}: {scene.get('detail', '')}", {}, seconds
+        while scene["state"] == "preparing":
+            time.sleep(.05)
+            scene = json.loads(self.call("GET", f"/v1/scenes/{scene['id']}")[1])
         _, lit = self.call("GET", f"/v1/scenes/{scene['id']}/lightmap?format=glb")
         self.call("DELETE", f"/v1/scenes/{scene['id']}")
         return scene, "", emission_of(lit), seconds
 
 
+def media_type(body):
+    return "application/zip" if body.startswith(b"PK") else "model/gltf-binary"
+
+
 def emission_of(data):
     """Of an exported mesh: area-weighted mean emission per node."""
     file, found = File(data), {}
-    for node in file.json["nodes"]:
+    for node in file.json.get("nodes", []):
         total, sum_ = 0.0, np.zeros(3)
         for p in file.json["meshes"][node["mesh"]]["primitives"] if "mesh" in node else []:
             a, b, c = file.accessor(p["attributes"]["POSITION"])[file.accessor(p["indices"]).reshape(-1, 3)].transpose(1, 0, 2)
@@ -228,33 +256,55 @@ def fetch(folder):
         os.makedirs(target)
         packed = subprocess.run(["npm", "pack", "--silent", package], cwd=target, capture_output=True, text=True, check=True)
         subprocess.run(["tar", "xzf", packed.stdout.strip().splitlines()[-1]], cwd=target, check=True)
+    for package in DEBIAN:
+        target = os.path.join(folder, package)
+        os.makedirs(target)
+        subprocess.run(["apt-get", "download", package], cwd=target, capture_output=True)
+        for deb in glob.glob(os.path.join(target, "*.deb")):
+            subprocess.run(["dpkg-deb", "-x", deb, target], check=True)
 
 
 def files_of(folders):
+    """Name, what is uploaded, and how it is opened here."""
     for folder in folders:
-        for path in sorted(glob.glob(os.path.join(folder, "**", "*.glb*"), recursive=True)):
-            data = open(path, "rb").read()
+        for path in sorted(glob.glob(os.path.join(folder, "**", "*.gl*"), recursive=True)):
+            data, name = open(path, "rb").read(), os.path.relpath(path, folder)
             if path.endswith(".glb"):
-                yield os.path.relpath(path, folder), data
+                yield name, data, lambda data=data: File(data)
             elif path.endswith(".glb.js"):
                 inner = re.search(rb"base64,([A-Za-z0-9+/=]+)", data)
                 if inner:
-                    yield os.path.relpath(path, folder), base64.b64decode(inner.group(1))
+                    whole = base64.b64decode(inner.group(1))
+                    yield name, whole, lambda whole=whole: File(whole)
+            elif path.endswith(".gltf") and re.search(rb'"version"\s*:\s*"2', data):
+                yield name, packed(path, data), lambda data=data, path=path: File(data, os.path.dirname(path))
 
 
-def compare(scene, emission, data):
+def packed(path, data):
+    """A document with all that lies in its folder."""
+    archive, folder = io.BytesIO(), os.path.dirname(path)
+    with zipfile.ZipFile(archive, "w") as out:
+        out.writestr(os.path.basename(path), data)
+        for other in glob.glob(os.path.join(folder, "**"), recursive=True):
+            if os.path.isfile(other) and not other.endswith((".gltf", ".glb")):
+                out.write(other, os.path.relpath(other, folder))
+    return archive.getvalue()
+
+
+def compare(scene, emission, opened):
     """What differs, and how many objects were compared; none where it is not read here."""
-    objects = [o for o in File(data).objects()]
+    objects = [o for o in opened().objects()]
     told = {o["node"]: o for o in scene["objects"]}
-    worst, light, counted = 0.0, 0.0, 0
+    worst, light, counted, empty = 0.0, 0.0, 0, 0
     for node, _, albedo, emitted in objects:
         if node not in told or albedo is None:
+            empty += albedo is None
             continue
         counted += 1
         worst = max(worst, np.abs(np.array(told[node]["albedo"]) - np.minimum(albedo, 1)).max())
         there, top = emission.get(told[node]["name"], np.zeros(3)), max(emitted.max(), 1e-3)
         light = max(light, np.abs(there - emitted).max() / top if emitted.max() > 1e-4 or there.max() > 1e-4 else 0.0)
-    return worst, light, counted, len(objects)
+    return worst, light, counted, len(objects) - empty
 
 
 def main():
@@ -267,7 +317,7 @@ def main():
         args.no_npm or fetch(folder)
         service = Service(args.rebake)
         try:
-            for name, data in files_of(args.folders if args.no_npm else [folder, *args.folders]):
+            for name, data, opened in files_of(args.folders if args.no_npm else [folder, *args.folders]):
                 rows and print(*rows[-1], sep=" | ", flush=True)
                 scene, why, emission, seconds = service.read(data)
                 slow = max(slow, seconds)
@@ -278,7 +328,7 @@ def main():
                 tally["read"] += 1
                 objects = len(scene["objects"])
                 try:
-                    albedo, light, counted, expected = compare(scene, emission, data)
+                    albedo, light, counted, expected = compare(scene, emission, opened)
                     ok = albedo <= ALBEDO and light <= EMISSION and counted == expected
                     tally["compared"] += 1
                     ok or failed.append(name)
