@@ -16,6 +16,15 @@ pub enum Sizing {
     Light,
 }
 
+impl From<Spread> for Sizing {
+    fn from(spread: Spread) -> Sizing {
+        match spread {
+            Spread::Uniform => Sizing::Uniform,
+            Spread::ByLight | Spread::ByLightWithin => Sizing::Light,
+        }
+    }
+}
+
 impl Sizing {
     /// As queries and the command line have it.
     pub(crate) fn name(self) -> &'static str {

@@ -35,13 +35,14 @@ async fn elements_are_nearly_as_many_as_asked_for_and_stay_so() {
         let scene = uploaded(&server, &format!("{query}&sizing=light")).await;
         let [count, even] = [&scene, &even].map(|scene| scene["live_elements"].as_f64().unwrap());
         assert!((0.9..1.7).contains(&(count / even)) && count != even, "{query}: {count} {even}");
+        assert_eq!((&scene["sizing"], &kept[1]["sizing"]), (&"light".into(), &"uniform".into()));
         kept.push(scene);
     }
     server.stop().await;
     let server = start(directory.path()).await;
     for scene in &kept {
         let again = server.get(&path_of(scene)).await.json(200);
-        for field in ["live_elements", "spacing", "warnings", "objects"] {
+        for field in ["live_elements", "spacing", "sizing", "warnings", "objects"] {
             assert_eq!(again[field], scene[field], "{field}");
         }
     }

@@ -35,9 +35,12 @@ export function showScene(scene: Scene, changes: Changes): void {
   $('scene-delete').replaceChildren(remove);
   dialog.onclose = () => {
     if (dialog.returnValue !== 'ok') return;
-    const next: Budget = {};
+    // What is not asked here stays as it is.
+    const next: Budget = { ...scene.target };
     if (Number(samples!.value) > 0) next.samples_per_element = Math.round(Number(samples!.value));
+    else delete next.samples_per_element;
     if (Number(error!.value) > 0) next.target_rmse = Number(error!.value);
+    else delete next.target_rmse;
     const isNew = samples!.value !== String(scene.target?.samples_per_element ?? '') || error!.value !== String(scene.target?.target_rmse ?? '');
     const patch = { ...(name!.value !== scene.name && { name: name!.value }), ...(isNew && Object.keys(next).length && { target: next }) };
     if (Object.keys(patch).length) void changes.attempt(async () => changes.renamed(await client.change(scene.id, patch)));

@@ -155,6 +155,11 @@ impl World {
         self.resolution.density.spacing
     }
 
+    /// How its elements are spread over what its file holds.
+    pub fn spread(&self) -> Spread {
+        self.options.spread
+    }
+
     /// This world with other limits, for edits from here on. What is there stays and may be edited: they are never less
     /// than what it takes.
     pub fn with_limits(self, max_elements: usize, max_triangles: usize) -> World {

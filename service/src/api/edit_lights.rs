@@ -81,10 +81,11 @@ fn light_kind(light: &NewLight, path: &str) -> ApiResult<(LightKind, [f32; 3], f
             let inner_cone_angle = s.inner_cone_angle.unwrap_or(0.0);
             let outer_cone_angle = s.outer_cone_angle.unwrap_or(std::f32::consts::FRAC_PI_4);
             let is_cone = 0.0 <= inner_cone_angle
-                && inner_cone_angle < outer_cone_angle
+                && inner_cone_angle <= outer_cone_angle
+                && outer_cone_angle > 0.0
                 && outer_cone_angle <= std::f32::consts::FRAC_PI_2;
             if !is_cone {
-                let reason = "the angles have to be 0 ≤ inner < outer ≤ π/2";
+                let reason = "the angles have to be 0 ≤ inner ≤ outer ≤ π/2, and the outer one above 0";
                 return Err(Problem::field(Kind::InvalidValue, join(path, "outer_cone_angle"), reason));
             }
             let kind = LightKind::Spot {

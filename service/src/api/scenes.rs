@@ -189,6 +189,7 @@ fn tell(app: &App, scene: &SceneEntry) -> types::Scene {
         state: state.into(),
         mode: scene.mode,
         spacing: world.spacing(),
+        sizing: matches!(state, SceneState::Ready).then(|| world.spread().into()),
         texels_per_metre: world.atlas().map(|atlas| atlas.texels_per_metre()),
         version: published.version,
         elements_version: published.elements_version,

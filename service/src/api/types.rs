@@ -12,6 +12,7 @@ pub use super::job_types::{Job, JobKind, JobPriority, JobProgress, JobState};
 pub use super::light_types::{Light, PartName, SceneLayer, SceneLayerLight};
 use crate::engine;
 use crate::mode::Mode;
+use crate::sizing::Sizing;
 use crate::store::versions::Stated;
 
 /// Whether a scene can be worked with.
@@ -80,6 +81,9 @@ pub struct Scene {
     /// Largest distance between neighbouring elements, metres.
     #[schema(example = 0.1)]
     pub spacing: f32,
+    /// How elements are spread over what the file holds; absent while the scene is prepared.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sizing: Option<Sizing>,
     /// Texels per metre of its atlas; absent where it was uploaded without one.
     #[schema(example = 20.0)]
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -68,7 +68,11 @@ pub(super) async fn create(
     if is_dry_run {
         return plan(&app, options, &headers, body).await;
     }
-    let full = || Problem::new(Kind::TooManyScenes, format!("there are {} scenes", app.config.limits.scenes));
+    let full = || {
+        let text =
+            format!("there are {} scenes, as many as the service takes (--max-scenes)", app.config.limits.scenes);
+        Problem::new(Kind::TooManyScenes, text)
+    };
     let turn = Turn::of(&app, &headers).await?;
     let reservation = app.scenes.reserve(app.config.limits.scenes);
     if reservation.is_none() && !turn.as_ref().is_some_and(Turn::is_known) {

@@ -79,6 +79,11 @@ pub(super) fn spinner(what: &str) -> ProgressBar {
     spinner
 }
 
+/// `1 light`, `2 lights`.
+pub(super) fn counted(n: u64, thing: &str) -> String {
+    format!("{} {thing}{}", count(n), if n == 1 { "" } else { "s" })
+}
+
 /// `1234567` as `1,234,567`.
 pub(super) fn count(n: u64) -> String {
     let digits = n.to_string();

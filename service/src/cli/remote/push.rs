@@ -118,10 +118,10 @@ fn note_scene(scene: &Scene) {
         return ui::note(&format!("{name}: its elements are being laid out"));
     }
     ui::note(&format!(
-        "{name}: {} objects, {} lights, {} elements, {}",
-        ui::count(scene.objects.len() as u64),
-        ui::count(scene.lights.len() as u64),
-        ui::count(scene.elements),
+        "{name}: {}, {}, {}, {}",
+        ui::counted(scene.objects.len() as u64, "object"),
+        ui::counted(scene.lights.len() as u64, "light"),
+        ui::counted(scene.elements, "element"),
         ui::bytes(scene.memory_bytes),
     ));
     for warning in &scene.warnings {

@@ -166,6 +166,8 @@ class SceneInfo:
     cameras: tuple[Camera, ...]
     warnings: tuple[str, ...]
     created_at: str
+    #: How elements are spread: `uniform` or `light`.
+    sizing: str | None = None
     texels_per_metre: float | None = None
     #: Stated error: area-weighted RMSE of the light map, irradiance / π.
     estimated_rmse: float | None = None
