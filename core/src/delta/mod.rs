@@ -13,9 +13,13 @@
 mod stream;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod tile_tests;
+mod tiles;
 mod wire;
 
 pub use stream::Decoder;
+pub use tiles::{MAX_TEXELS, TILE_CONTENT_TYPE, TILE_MAGIC, Tile, TileFrame, TilePage, grid};
 pub use wire::{CONTENT_TYPE, FORMAT_VERSION, HEADER_BYTES, MAGIC};
 
 use glam::Vec3;

@@ -34,19 +34,19 @@ const REPLACE_ALL: u16 = 1 << 1;
 const HALF: u16 = 1 << 2;
 
 impl FrameFlags {
-    fn bits(self) -> u16 {
+    pub(super) fn bits(self) -> u16 {
         let bit = |set: bool, bit: u16| if set { bit } else { 0 };
         bit(self.last, LAST) | bit(self.replace_all, REPLACE_ALL) | bit(self.half, HALF)
     }
 
-    fn from_bits(bits: u16) -> Result<FrameFlags, DeltaError> {
+    pub(super) fn from_bits(bits: u16) -> Result<FrameFlags, DeltaError> {
         if bits & !(LAST | REPLACE_ALL | HALF) != 0 {
             return Err(DeltaError::Flags(bits));
         }
         Ok(FrameFlags { last: bits & LAST != 0, replace_all: bits & REPLACE_ALL != 0, half: bits & HALF != 0 })
     }
 
-    fn value_bytes(self) -> usize {
+    pub(super) fn value_bytes(self) -> usize {
         if self.half { 6 } else { 12 }
     }
 }
@@ -54,6 +54,72 @@ impl FrameFlags {
 /// Nearest `f16`; what is finite stays finite.
 pub(super) fn to_half(x: f32) -> f16 {
     if x.is_finite() { f16::from_f32(x.clamp(f16::MIN.to_f32(), f16::MAX.to_f32())) } else { f16::from_f32(x) }
+}
+
+/// What the formats begin with: the table above, whose two counts each format has for its own.
+pub(super) struct Header {
+    pub(super) magic: [u8; 4],
+    pub(super) flags: FrameFlags,
+    pub(super) base: u64,
+    pub(super) new: u64,
+    pub(super) counts: [usize; 2],
+}
+
+impl Header {
+    /// A frame of `size` bytes, header included, whose payload is what `write` appends.
+    pub(super) fn seal(&self, size: usize, write: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
+        let mut bytes = Vec::with_capacity(size);
+        bytes.extend_from_slice(&self.magic);
+        bytes.extend_from_slice(&FORMAT_VERSION.to_le_bytes());
+        bytes.extend_from_slice(&self.flags.bits().to_le_bytes());
+        bytes.extend_from_slice(&self.base.to_le_bytes());
+        bytes.extend_from_slice(&self.new.to_le_bytes());
+        for count in [self.counts[0], self.counts[1], size - HEADER_BYTES, 0] {
+            bytes.extend_from_slice(&(count as u32).to_le_bytes());
+        }
+        write(&mut bytes);
+        debug_assert_eq!(bytes.len(), size);
+        let checksum = crc32fast::hash(&bytes[HEADER_BYTES..]);
+        bytes[HEADER_BYTES - 4..HEADER_BYTES].copy_from_slice(&checksum.to_le_bytes());
+        bytes
+    }
+
+    /// The header at the beginning of `bytes` and the payload behind it, which is whole. `check` has a say before the
+    /// payload is waited for.
+    pub(super) fn open(
+        magic: [u8; 4],
+        bytes: &[u8],
+        check: impl FnOnce(&Header, usize) -> Result<(), DeltaError>,
+    ) -> Result<(Header, &[u8]), DeltaError> {
+        let known = bytes.len().min(magic.len());
+        if bytes[..known] != magic[..known] {
+            return Err(if magic == MAGIC {
+                DeltaError::Magic
+            } else {
+                DeltaError::Malformed("it does not begin with RBKT")
+            });
+        }
+        let Some((header, rest)) = bytes.split_first_chunk::<HEADER_BYTES>() else {
+            return Err(DeltaError::Incomplete { needed: HEADER_BYTES });
+        };
+        let version = u16::from_le_bytes([header[4], header[5]]);
+        if version != FORMAT_VERSION {
+            return Err(DeltaError::Version(version));
+        }
+        let flags = FrameFlags::from_bits(u16::from_le_bytes([header[6], header[7]]))?;
+        let counts = [u32_at(header, 24) as usize, u32_at(header, 28) as usize];
+        let payload_bytes = u32_at(header, 32) as usize;
+        let found = Header { magic, flags, base: u64_at(header, 8), new: u64_at(header, 16), counts };
+        check(&found, payload_bytes)?;
+        let Some(payload) = rest.get(..payload_bytes) else {
+            return Err(DeltaError::Incomplete { needed: HEADER_BYTES.saturating_add(payload_bytes) });
+        };
+        let (checksum, expected) = (crc32fast::hash(payload), u32_at(header, 36));
+        if checksum != expected {
+            return Err(DeltaError::Checksum { expected, found: checksum });
+        }
+        Ok((found, payload))
+    }
 }
 
 impl Frame {
@@ -65,85 +131,66 @@ impl Frame {
     /// The frame as bytes. The frame has to be valid ([`Frame::validate`]), as every frame made here is.
     pub fn encode(&self) -> Vec<u8> {
         debug_assert_eq!(self.validate(), Ok(()));
-        let mut bytes = Vec::with_capacity(self.encoded_bytes());
-        bytes.extend_from_slice(&MAGIC);
-        bytes.extend_from_slice(&FORMAT_VERSION.to_le_bytes());
-        bytes.extend_from_slice(&self.flags.bits().to_le_bytes());
-        bytes.extend_from_slice(&self.base.to_le_bytes());
-        bytes.extend_from_slice(&self.new.to_le_bytes());
-        let payload_bytes = self.encoded_bytes() - HEADER_BYTES;
-        for count in [self.runs.len(), self.values.len(), payload_bytes, 0] {
-            bytes.extend_from_slice(&(count as u32).to_le_bytes());
-        }
-        for run in &self.runs {
-            bytes.extend_from_slice(&run.first.to_le_bytes());
-            bytes.extend_from_slice(&run.count.to_le_bytes());
-        }
-        for value in &self.values {
-            for x in value.to_array() {
-                if self.flags.half {
-                    bytes.extend_from_slice(&to_half(x).to_le_bytes());
-                } else {
-                    bytes.extend_from_slice(&x.to_le_bytes());
-                }
+        let counts = [self.runs.len(), self.values.len()];
+        let header = Header { magic: MAGIC, flags: self.flags, base: self.base, new: self.new, counts };
+        header.seal(self.encoded_bytes(), |bytes| {
+            for run in &self.runs {
+                bytes.extend_from_slice(&run.first.to_le_bytes());
+                bytes.extend_from_slice(&run.count.to_le_bytes());
             }
-        }
-        let checksum = crc32fast::hash(&bytes[HEADER_BYTES..]);
-        bytes[HEADER_BYTES - 4..HEADER_BYTES].copy_from_slice(&checksum.to_le_bytes());
-        bytes
+            write_values(&self.values, self.flags.half, bytes);
+        })
     }
 
     /// Reads one frame from the beginning of `bytes`; also tells how many bytes it took. Nothing is allocated before
     /// all bytes of the frame are there and their checksum matches.
     pub fn decode(bytes: &[u8]) -> Result<(Frame, usize), DeltaError> {
-        let known = bytes.len().min(MAGIC.len());
-        if bytes[..known] != MAGIC[..known] {
-            return Err(DeltaError::Magic);
-        }
-        let Some((header, rest)) = bytes.split_first_chunk::<HEADER_BYTES>() else {
-            return Err(DeltaError::Incomplete { needed: HEADER_BYTES });
-        };
-        let version = u16::from_le_bytes([header[4], header[5]]);
-        if version != FORMAT_VERSION {
-            return Err(DeltaError::Version(version));
-        }
-        let flags = FrameFlags::from_bits(u16::from_le_bytes([header[6], header[7]]))?;
-        let runs = u32_at(header, 24) as usize;
-        let values = u32_at(header, 28) as usize;
-        let payload_bytes = u32_at(header, 32) as usize;
-        let expected = u32_at(header, 36);
-        if values > MAX_ELEMENTS {
-            return Err(DeltaError::TooLong { end: values as u64, limit: MAX_ELEMENTS });
-        }
-        if runs > values {
-            return Err(DeltaError::Malformed("there are more runs than values"));
-        }
-        // At most MAX_ELEMENTS × (8 + 12): no overflow on 64 bits, and checked on 32.
-        let sum = runs.checked_mul(RUN_BYTES).zip(values.checked_mul(flags.value_bytes()));
-        if sum.and_then(|(a, b)| a.checked_add(b)) != Some(payload_bytes) {
-            return Err(DeltaError::Malformed("the counts do not add up to the payload's size"));
-        }
-        let Some(payload) = rest.get(..payload_bytes) else {
-            return Err(DeltaError::Incomplete { needed: HEADER_BYTES.saturating_add(payload_bytes) });
-        };
-        let found = crc32fast::hash(payload);
-        if found != expected {
-            return Err(DeltaError::Checksum { expected, found });
-        }
-        let (run_bytes, value_bytes) = payload.split_at(runs * RUN_BYTES);
+        let (header, payload) = Header::open(MAGIC, bytes, |header, payload_bytes| {
+            let ([runs, values], flags) = (header.counts, header.flags);
+            if values > MAX_ELEMENTS {
+                return Err(DeltaError::TooLong { end: values as u64, limit: MAX_ELEMENTS });
+            }
+            if runs > values {
+                return Err(DeltaError::Malformed("there are more runs than values"));
+            }
+            // At most MAX_ELEMENTS × (8 + 12): no overflow on 64 bits, and checked on 32.
+            let sum = runs.checked_mul(RUN_BYTES).zip(values.checked_mul(flags.value_bytes()));
+            match sum.and_then(|(a, b)| a.checked_add(b)) == Some(payload_bytes) {
+                true => Ok(()),
+                false => Err(DeltaError::Malformed("the counts do not add up to the payload's size")),
+            }
+        })?;
+        let (runs, values) = payload.split_at(header.counts[0] * RUN_BYTES);
+        let run = |run: &[u8]| Run { first: u32_at(run, 0), count: u32_at(run, 4) };
         let frame = Frame {
-            flags,
-            base: u64_at(header, 8),
-            new: u64_at(header, 16),
-            runs: run_bytes
-                .chunks_exact(RUN_BYTES)
-                .map(|run| Run { first: u32_at(run, 0), count: u32_at(run, 4) })
-                .collect(),
-            values: value_bytes.chunks_exact(flags.value_bytes()).map(|value| read_value(value, flags)).collect(),
+            flags: header.flags,
+            base: header.base,
+            new: header.new,
+            runs: runs.chunks_exact(RUN_BYTES).map(run).collect(),
+            values: read_values(values, header.flags.half),
         };
         frame.validate()?;
-        Ok((frame, HEADER_BYTES + payload_bytes))
+        Ok((frame, HEADER_BYTES + payload.len()))
     }
+}
+
+/// Three floats per value.
+pub(super) fn write_values(values: &[Vec3], half: bool, bytes: &mut Vec<u8>) {
+    for value in values {
+        for x in value.to_array() {
+            if half {
+                bytes.extend_from_slice(&to_half(x).to_le_bytes());
+            } else {
+                bytes.extend_from_slice(&x.to_le_bytes());
+            }
+        }
+    }
+}
+
+/// What [`write_values`] wrote.
+pub(super) fn read_values(bytes: &[u8], half: bool) -> Vec<Vec3> {
+    let flags = FrameFlags { half, ..FrameFlags::default() };
+    bytes.chunks_exact(flags.value_bytes()).map(|value| read_value(value, flags)).collect()
 }
 
 fn read_value(bytes: &[u8], flags: FrameFlags) -> Vec3 {
@@ -157,7 +204,7 @@ fn read_value(bytes: &[u8], flags: FrameFlags) -> Vec3 {
     Vec3::new(channel(0), channel(1), channel(2))
 }
 
-fn u32_at(bytes: &[u8], at: usize) -> u32 {
+pub(super) fn u32_at(bytes: &[u8], at: usize) -> u32 {
     u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
 }
 
