@@ -31,6 +31,7 @@ pub mod server;
 mod sizing;
 mod state;
 mod store;
+mod tiles;
 mod unit;
 pub mod viewer;
 

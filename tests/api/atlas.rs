@@ -14,14 +14,14 @@ use super::glb::room;
 use super::server::{Answer, Server, path_of};
 
 /// A page read back: width, height, RGB and validity per texel.
-struct Page {
-    width: usize,
-    values: Vec<Vec3>,
-    valid: Vec<bool>,
+pub(super) struct Page {
+    pub(super) width: usize,
+    pub(super) values: Vec<Vec3>,
+    pub(super) valid: Vec<bool>,
 }
 
 impl Page {
-    fn of(file: &[u8]) -> Page {
+    pub(super) fn of(file: &[u8]) -> Page {
         let image = read().no_deep_data().largest_resolution_level().all_channels().first_valid_layer();
         let layer = image.all_attributes().from_buffered(Cursor::new(file)).unwrap().layer_data;
         let list = &layer.channel_data.list;

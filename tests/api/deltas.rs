@@ -238,7 +238,7 @@ async fn compressed_streams_arrive_frame_by_frame() {
 }
 
 /// As much as can be read of a stream that goes on.
-fn unpack(coding: &str, compressed: &[u8]) -> Vec<u8> {
+pub(super) fn unpack(coding: &str, compressed: &[u8]) -> Vec<u8> {
     use std::io::Read;
     let mut reader: Box<dyn Read> = match coding {
         "gzip" => Box::new(flate2::read::GzDecoder::new(compressed)),

@@ -7,6 +7,7 @@ mod ambient;
 mod answers;
 mod assets;
 mod atlas;
+mod atlas_deltas;
 mod browser;
 mod clients;
 mod cluster;

@@ -10,7 +10,6 @@ use rebake_core::export::Precision;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
-use super::computed;
 use super::extract::{ApiPath, ApiQuery};
 use super::lightmap::{self, Chosen};
 use super::problem::{ApiResult, Kind, Problem};
@@ -18,15 +17,18 @@ use super::types::PartName;
 use super::uploads::memory_problem;
 use super::versioned::Versioned;
 use super::{Shared, find_scene};
+use super::{atlas_deltas, computed};
 use crate::bands;
 use crate::config::Limits;
-use crate::engine::{self, Atlas, AtlasError, AtlasOptions, AtlasPicture, World};
+use crate::engine::{self, Atlas, AtlasError, AtlasOptions, AtlasPicture, Canceled, World};
 use crate::filter::Filter;
 use crate::pictures::Watch;
 use crate::state::App;
 use crate::store::records::StoredAtlas;
 use crate::store::scene::SceneEntry;
+use crate::store::tiles::Selection;
 use crate::store::versions::Published;
+use crate::tiles::hashes;
 
 /// Bytes per texel of a page while it is made and written.
 pub(super) const BYTES_PER_TEXEL: u64 = 64;
@@ -281,6 +283,9 @@ pub(super) async fn get_page(
     if matches!(chosen, Chosen::Wanted(computed::Wanted::Directional)) && format == PageFormat::Png {
         return Err(Problem::field(Kind::InvalidQuery, "format", "has to be exr or ktx2 for part=directional"));
     }
+    // What its deltas are told from.
+    let followed = atlas_deltas::selection_of(&chosen, query.filter, query.precision);
+    let followed = followed.filter(|_| format != PageFormat::Png);
     let atlas = atlas_of(&app, &scene, &published).await?;
     let pages = atlas.pages();
     let index = page.parse::<usize>().ok().filter(|index| *index < pages.len()).ok_or_else(|| {
@@ -307,23 +312,14 @@ pub(super) async fn get_page(
         PageFormat::Exr => (AtlasPicture::Exr(precision), "image/x-exr"),
         PageFormat::Ktx2 => (AtlasPicture::Ktx2(precision), "image/ktx2"),
     };
-    let (watch, its_app) = (Watch::default(), Arc::clone(&app));
-    let _guard = watch.guard();
+    let watch = Watch::default();
+    let (_guard, its_app) = (watch.guard(), Arc::clone(&app));
     let turn = app.pictures.turns.clone().acquire_owned().await.map_err(Problem::internal)?;
+    let page = PageWork { scene: Arc::clone(&scene), published, atlas, index, chosen, followed, picture, watch };
     let work = move || {
         let _turn = turn;
         let _promise = its_app.memory.promise(bytes, 0).map_err(|full| memory_problem("page", full))?;
-        if let Chosen::Computed(part) = &chosen
-            && format != PageFormat::Png
-        {
-            let file = (precision, format == PageFormat::Ktx2);
-            let page = bands::page((&published.world, &atlas), index, part, published.version, file, &watch);
-            return page.map(|file| (file, None)).map_err(Problem::internal);
-        }
-        let (values, about) = lightmap::values(&published, &chosen).map_err(Problem::internal)?;
-        let about: Vec<(&str, &str)> = about.iter().map(|(name, text)| (*name, text.as_str())).collect();
-        let drawn = engine::atlas_page((&published.world, &atlas), index, &values, (picture, &about), &watch);
-        drawn.map_err(Problem::internal)
+        page.draw()
     };
     let (file, exposure) = app.compute.draw(work).await??;
     let mut response = (about, [(header::CONTENT_TYPE, kind)], file).into_response();
@@ -332,6 +328,44 @@ pub(super) async fn get_page(
         response.headers_mut().insert("x-rebake-exposure", value);
     }
     Ok(response)
+}
+
+/// A page that is to be drawn.
+struct PageWork {
+    scene: Arc<SceneEntry>,
+    published: Arc<Published>,
+    atlas: Arc<Atlas>,
+    index: usize,
+    chosen: Chosen,
+    /// What its deltas are told from, where it has any.
+    followed: Option<Selection>,
+    picture: AtlasPicture,
+    watch: Watch,
+}
+
+impl PageWork {
+    /// The file, and the stops of its exposure where it is a PNG.
+    fn draw(&self) -> ApiResult<(Vec<u8>, Option<f32>)> {
+        let PageWork { published, atlas, index, chosen, picture, watch, .. } = self;
+        let file = match *picture {
+            AtlasPicture::Exr(precision) => Some((precision, false)),
+            AtlasPicture::Ktx2(precision) => Some((precision, true)),
+            AtlasPicture::Png => None,
+        };
+        if let (Chosen::Computed(part), Some(file)) = (chosen, file) {
+            let page = bands::page((&published.world, atlas), *index, part, published.version, file, watch);
+            return page.map(|file| (file, None)).map_err(Problem::internal);
+        }
+        let (values, about) = lightmap::values(published, chosen).map_err(Problem::internal)?;
+        let about: Vec<(&str, &str)> = about.iter().map(|(name, text)| (*name, text.as_str())).collect();
+        let page = engine::read_page(&published.world, atlas, *index, &values, watch);
+        let page = page.map_err(|Canceled| Problem::internal("nobody waits for it"))?;
+        if let Some(followed) = &self.followed {
+            let (size, hashes) = hashes(&page, followed.half);
+            self.scene.tiles.see(followed, *index, published.version, size, hashes);
+        }
+        engine::atlas_page(page, *picture, &about).map_err(Problem::internal)
+    }
 }
 
 /// The atlas of a version of a scene.

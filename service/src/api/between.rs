@@ -101,7 +101,7 @@ fn find(scene: &SceneEntry, from: u64, to: u64) -> ApiResult<Found> {
     if is_known && to == present {
         return Ok(Found::Present(published));
     }
-    let kept = scene.deltas.find((from, to)).filter(|_| is_known);
+    let kept = scene.deltas.find(&(from, to)).filter(|_| is_known);
     let text = || format!("{from}-{to}: not kept any more; the light map is at version {present}");
     kept.map(Found::Kept).ok_or_else(|| Problem::new(Kind::VersionForgotten, text()))
 }
@@ -117,7 +117,7 @@ fn make(scene: &SceneEntry, published: &Published, from: u64) -> KeptDelta {
 }
 
 /// One spelling of each pair: caches take another for something else.
-fn read_versions(text: &str) -> ApiResult<(u64, u64)> {
+pub(super) fn read_versions(text: &str) -> ApiResult<(u64, u64)> {
     let parsed = text.split_once('-').and_then(|(from, to)| Some((from.parse::<u64>().ok()?, to.parse::<u64>().ok()?)));
     let parsed = parsed.filter(|(from, to)| from <= to && format!("{from}-{to}") == text);
     let text = || format!("{text:?} is not {{from}}-{{to}}, two versions of which the first is not above the second");

@@ -3,6 +3,7 @@
 mod accuracy;
 mod assets;
 pub mod atlas;
+mod atlas_deltas;
 mod between;
 mod checks;
 mod coding;
@@ -45,6 +46,7 @@ mod room;
 mod sample;
 mod scenes;
 pub(crate) mod skies;
+mod tile_stream;
 mod trace;
 pub mod types;
 mod upload_query;
@@ -84,6 +86,8 @@ pub(crate) fn router(app: Arc<App>) -> Router {
         .route("/v1/scenes/{scene}/lightmap/deltas/{versions}", get(between::get))
         .route("/v1/scenes/{scene}/elements", get(elements::get))
         .route("/v1/scenes/{scene}/atlas/{page}", get(atlas::get_page))
+        .route("/v1/scenes/{scene}/atlas/deltas", get(atlas_deltas::get))
+        .route("/v1/scenes/{scene}/atlas/deltas/{versions}", get(atlas_deltas::get_between))
         .route_layer(from_fn_with_state(app.clone(), room::for_answers));
     Router::new()
         .merge(large)

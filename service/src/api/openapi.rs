@@ -13,22 +13,22 @@ use utoipa::openapi::{Ref, RefOr};
 
 use super::problem::{self, Kind, ProblemDocument};
 use super::{
-    accuracy, assets, atlas, between, deltas, edit_types, edits, elements, events, health, history, jobs, lightmap,
-    objects, probes, render, sample, scenes, types, uploads,
+    accuracy, assets, atlas, atlas_deltas, between, deltas, edit_types, edits, elements, events, health, history, jobs,
+    lightmap, objects, probes, render, sample, scenes, types, uploads,
 };
 
 #[derive(OpenApi)]
 #[openapi(
     info(
         title = "rebake",
-        description = "Keeps the light maps of scenes up to date while they are edited. Errors are problem documents (RFC 9457). Lists are paged by `limit` and `cursor`. The delta format is described in the documentation.",
+        description = "Keeps the light maps of scenes up to date while they are edited. Errors are problem documents (RFC 9457). Lists are paged by `limit` and `cursor`. The formats of deltas are described in the documentation.",
         license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0")
     ),
     paths(
         uploads::create, scenes::list, scenes::get, scenes::patch, scenes::delete, assets::create, assets::list, assets::delete, edits::create,
         history::list,
         jobs::list, jobs::get, jobs::cancel, jobs::pause, jobs::resume, events::of_job, events::of_scene,
-        objects::list, objects::get, lightmap::get, deltas::get, between::get, elements::get, atlas::get, atlas::get_page, render::get, sample::create, accuracy::get, probes::get, probes::create, health::alive, health::ready, health::metrics, health::problem, get
+        objects::list, objects::get, lightmap::get, deltas::get, between::get, elements::get, atlas::get, atlas::get_page, atlas_deltas::get, atlas_deltas::get_between, render::get, sample::create, accuracy::get, probes::get, probes::create, health::alive, health::ready, health::metrics, health::problem, get
     ),
     components(schemas(ProblemDocument, types::SnapshotEvent, types::SceneEvent, types::SceneSummary, edit_types::EditRequest)),
     servers((url = "/", description = "The service that tells this")),
@@ -162,6 +162,28 @@ fn problems_of(operation: &str) -> &'static [Kind] {
         "get_atlas_page" => {
             &[InvalidQuery, UnknownScene, SceneDamaged, SceneTooLarge, NotFound, TooManyAnswers, NoMemory, ShuttingDown]
         }
+        "get_atlas_deltas" => &[
+            InvalidQuery,
+            UnknownScene,
+            SceneDamaged,
+            SceneTooLarge,
+            VersionAhead,
+            TooManyStreams,
+            TooManyAnswers,
+            NoMemory,
+            ShuttingDown,
+        ],
+        "get_atlas_delta_between" => &[
+            InvalidQuery,
+            UnknownScene,
+            SceneDamaged,
+            SceneTooLarge,
+            UnknownVersion,
+            VersionForgotten,
+            TooManyAnswers,
+            NoMemory,
+            ShuttingDown,
+        ],
         "get_elements" => &[UnknownScene, SceneDamaged, TooManyAnswers],
         "render_scene" => &[InvalidQuery, UnknownScene, SceneDamaged, VersionForgotten, NoMemory, ShuttingDown],
         "sample_light" => &[

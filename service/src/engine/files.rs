@@ -10,7 +10,8 @@ use rebake_core::export::{
 };
 use rebake_core::render::{Picture, ToneMap, auto_exposure};
 use rebake_core::scene::Original;
-use rebake_core::texels::read_page;
+use rebake_core::texels::TexelPage;
+pub(crate) use rebake_core::texels::read_page;
 
 use super::{
     Atlas, Canceled, Layer, LightAbout, LoadError, ObjectSummary, Observer, Originals, World, accepted_before,
@@ -96,15 +97,12 @@ pub(crate) enum AtlasPicture {
     Png,
 }
 
-/// A page of an atlas with one value per slot, as a file, and the stops of its exposure where it is a PNG.
+/// A page of an atlas as a file, and the stops of its exposure where it is a PNG.
 pub(crate) fn atlas_page(
-    (world, atlas): (&World, &Atlas),
-    page: usize,
-    values: &[Vec3],
-    (picture, about): (AtlasPicture, &[(&str, &str)]),
-    observer: &dyn Observer,
+    page: TexelPage,
+    picture: AtlasPicture,
+    about: &[(&str, &str)],
 ) -> Result<(Vec<u8>, Option<f32>), String> {
-    let page = read_page(world, atlas, page, values, observer).map_err(|Canceled| "nobody waits for it".to_owned())?;
     let file = match picture {
         AtlasPicture::Exr(precision) => (write_page_exr(&page, precision, about), None),
         AtlasPicture::Ktx2(precision) => (write_pages_ktx2(&[("", page)], precision, about), None),

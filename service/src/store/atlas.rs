@@ -26,8 +26,11 @@ impl MadeAtlas {
             last => {
                 let earlier = last.as_ref().map(|(_, atlas)| &**atlas);
                 let atlas = Arc::new(new_atlas(&published.world, earlier, max_texels)?);
-                let made = Some((published.elements_version, Arc::clone(&atlas)));
-                *self.last.lock().unwrap_or_else(PoisonError::into_inner) = made;
+                // Of a client that was slow: what is newer stays.
+                if last.as_ref().is_none_or(|(version, _)| *version < published.elements_version) {
+                    let made = Some((published.elements_version, Arc::clone(&atlas)));
+                    *self.last.lock().unwrap_or_else(PoisonError::into_inner) = made;
+                }
                 Ok(atlas)
             }
         }

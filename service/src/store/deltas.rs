@@ -9,55 +9,55 @@ use bytes::Bytes;
 /// Deltas kept per scene, however small.
 const KEPT: usize = 32;
 
-/// The last deltas of a scene that were asked for.
-#[derive(Default)]
-pub(crate) struct KeptDeltas(Mutex<VecDeque<Kept>>);
+/// The last deltas of a scene that were asked for, by what tells them apart: the two versions, and what else there is.
+pub(crate) struct KeptDeltas<K = (u64, u64)>(Mutex<VecDeque<Kept<K>>>);
 
-/// A delta, as one frame. It is made once, however many ask for it at the same time.
-struct Kept {
-    versions: (u64, u64),
+/// A delta as bytes. It is made once, however many ask for it at the same time.
+struct Kept<K> {
+    key: K,
     frame: Arc<OnceLock<KeptDelta>>,
 }
 
 /// What changed between two versions.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct KeptDelta {
-    /// One frame.
+    /// One frame; of pages, all frames.
     pub(crate) frame: Bytes,
     /// Stated error of the later version.
     pub(crate) stated: Option<f32>,
 }
 
-impl Kept {
+impl<K> Kept<K> {
     fn bytes(&self) -> usize {
         self.frame.get().map_or(0, |delta| delta.frame.len())
     }
 }
 
-impl KeptDeltas {
-    fn lock(&self) -> MutexGuard<'_, VecDeque<Kept>> {
+impl<K> Default for KeptDeltas<K> {
+    fn default() -> KeptDeltas<K> {
+        KeptDeltas(Mutex::default())
+    }
+}
+
+impl<K: PartialEq> KeptDeltas<K> {
+    fn lock(&self) -> MutexGuard<'_, VecDeque<Kept<K>>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The delta from one version to another, where it was made before.
-    pub(crate) fn find(&self, versions: (u64, u64)) -> Option<KeptDelta> {
+    pub(crate) fn find(&self, key: &K) -> Option<KeptDelta> {
         let kept = self.lock();
-        kept.iter().find(|kept| kept.versions == versions)?.frame.get().cloned()
+        kept.iter().find(|kept| kept.key == *key)?.frame.get().cloned()
     }
 
     /// The delta from one version to another, made by `encode` where it is not kept. All that is kept takes `most_bytes`, or is this one alone.
-    pub(crate) fn find_or_make(
-        &self,
-        versions: (u64, u64),
-        most_bytes: usize,
-        encode: impl FnOnce() -> KeptDelta,
-    ) -> KeptDelta {
+    pub(crate) fn find_or_make(&self, key: K, most_bytes: usize, encode: impl FnOnce() -> KeptDelta) -> KeptDelta {
         let frame = {
             let mut kept = self.lock();
-            let known = kept.iter().find(|kept| kept.versions == versions).map(|kept| kept.frame.clone());
+            let known = kept.iter().find(|kept| kept.key == key).map(|kept| kept.frame.clone());
             known.unwrap_or_else(|| {
                 let frame = Arc::<OnceLock<KeptDelta>>::default();
-                kept.push_back(Kept { versions, frame: frame.clone() });
+                kept.push_back(Kept { key, frame: frame.clone() });
                 frame
             })
         };
@@ -70,7 +70,7 @@ impl KeptDeltas {
     /// Drops the oldest until the others are few enough.
     fn forget(&self, most_bytes: usize) {
         let mut kept = self.lock();
-        let mut bytes: usize = kept.iter().map(Kept::bytes).sum();
+        let mut bytes: usize = kept.iter().map(|kept| kept.bytes()).sum();
         while kept.len() > KEPT || (kept.len() > 1 && bytes > most_bytes) {
             let Some(oldest) = kept.pop_front() else { return };
             bytes -= oldest.bytes();
@@ -79,7 +79,7 @@ impl KeptDeltas {
 
     /// Bytes of what is kept.
     pub(crate) fn memory_bytes(&self) -> usize {
-        self.lock().iter().map(Kept::bytes).sum()
+        self.lock().iter().map(|kept| kept.bytes()).sum()
     }
 }
 
@@ -92,14 +92,14 @@ mod tests {
         let kept = KeptDeltas::default();
         let delta = |bytes: usize| KeptDelta { frame: vec![7; bytes].into(), stated: Some(bytes as f32) };
         let make = |versions, bytes: usize| kept.find_or_make(versions, 100, || delta(bytes));
-        assert_eq!((kept.find((1, 2)), kept.memory_bytes()), (None, 0));
+        assert_eq!((kept.find(&(1, 2)), kept.memory_bytes()), (None, 0));
         assert_eq!(make((1, 2), 60), delta(60));
         let again = kept.find_or_make((1, 2), 100, || unreachable!("it is there"));
-        assert_eq!((again, kept.find((1, 2))), (delta(60), Some(delta(60))));
+        assert_eq!((again, kept.find(&(1, 2))), (delta(60), Some(delta(60))));
         make((0, 2), 30);
         assert_eq!(kept.memory_bytes(), 90);
         make((2, 3), 20);
-        assert_eq!((kept.find((1, 2)), kept.memory_bytes()), (None, 50), "the oldest made room");
+        assert_eq!((kept.find(&(1, 2)), kept.memory_bytes()), (None, 50), "the oldest made room");
         assert_eq!(make((0, 3), 1000), delta(1000), "too large to be kept beside others");
         assert_eq!(kept.memory_bytes(), 1000);
         for version in 0..2 * KEPT as u64 {

@@ -21,6 +21,7 @@ pub(crate) mod records;
 pub(crate) mod scene;
 pub(crate) mod scenes;
 mod stored_job;
+pub(crate) mod tiles;
 pub(crate) mod upload_keys;
 pub(crate) mod versions;
 

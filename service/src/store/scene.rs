@@ -18,6 +18,7 @@ use super::keys::IdempotencyKeys;
 use super::lighting::{Lighting, Lit, Samples, Sequence, Unlit, Work};
 use super::probes::KeptProbes;
 use super::records::{LightRecord, LightState};
+use super::tiles::KeptTiles;
 use super::versions::Published;
 use crate::config::Limits;
 use crate::engine::{Edit, LightMap, World};
@@ -48,6 +49,8 @@ pub(crate) struct SceneEntry {
     pub(crate) filtered: Arc<FilteredLight>,
     /// Its atlas, where it was uploaded without one.
     pub(crate) made_atlas: MadeAtlas,
+    /// Pages of its atlas that clients follow.
+    pub(crate) tiles: KeptTiles,
     /// Sets of probes that clients follow.
     pub(crate) probes: KeptProbes,
     /// Ambient occlusion that a client asked for.
@@ -114,6 +117,7 @@ impl SceneEntry {
             deltas: KeptDeltas::default(),
             filtered: Arc::default(),
             made_atlas: MadeAtlas::default(),
+            tiles: KeptTiles::default(),
             probes: KeptProbes::default(),
             occlusion: KeptPart::default(),
             directional: KeptPart::default(),
@@ -180,10 +184,10 @@ impl SceneEntry {
         *self.error.lock().unwrap_or_else(PoisonError::into_inner) = error;
     }
 
-    /// Bytes of what stands beside the world and the map: deltas, the transport of drags, earlier maps, filtered light.
+    /// Bytes of what stands beside the world and the map: deltas, tiles, the transport of drags, earlier maps, filtered light.
     pub(crate) fn aside_bytes(&self, published: &Published) -> usize {
         let parts = self.occlusion.memory_bytes() + self.directional.memory_bytes() + self.filtered.memory_bytes();
-        let told = self.deltas.memory_bytes() + self.probes.memory_bytes() + parts;
+        let told = self.deltas.memory_bytes() + self.tiles.memory_bytes() + self.probes.memory_bytes() + parts;
         told + self.drag.memory_bytes() + self.earlier.memory_bytes(&published.map)
     }
 

@@ -8,8 +8,8 @@ use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
 use super::super::{
-    accuracy, atlas, deltas, edit_nodes, edit_parse, jobs, lightmap, objects, probes, render, sample, scenes,
-    upload_query,
+    accuracy, atlas, atlas_deltas, deltas, edit_nodes, edit_parse, jobs, lightmap, objects, probes, render, sample,
+    scenes, upload_query,
 };
 use super::document;
 
@@ -44,6 +44,10 @@ fn read_query(operation: &str, query: &str) -> Result<(), String> {
         "get_object" => reads::<objects::ObjectQuery>(query),
         "get_lightmap" => reads::<lightmap::LightmapQuery>(query),
         "get_deltas" => reads::<deltas::DeltaQuery>(&format!("since=0&{query}").replace("since=0&since", "since")),
+        "get_atlas_deltas" => {
+            reads::<atlas_deltas::TileQuery>(&format!("since=0&{query}").replace("since=0&since", "since"))
+        }
+        "get_atlas_delta_between" => reads::<atlas_deltas::TileBetweenQuery>(query),
         "get_atlas_page" => reads::<atlas::PageQuery>(query),
         "get_probes" => reads::<probes::ProbesQuery>(query),
         "get_error" => reads::<accuracy::ErrorQuery>(query),
