@@ -137,6 +137,13 @@ export class Rebake {
     query: { format?: 'exr' | 'png'; precision?: 'half' | 'float'; layer?: string; part?: string; filter?: Filter } = {},
   ): Promise<ArrayBuffer> => this.bytes(`${of(scene)}/atlas/${page}${search(query)}`);
 
+  /** Tiles of the pages that changed since a version: see `readTiles` and `AtlasPages`. */
+  atlasDeltas = (
+    scene: string,
+    since: number,
+    query: { precision?: 'half' | 'float'; layer?: string; part?: string; filter?: Filter } = {},
+  ): Promise<ArrayBuffer> => this.bytes(`${of(scene)}/atlas/deltas${search({ since, ...query })}`);
+
   object = (scene: string, object: string): Promise<ObjectDetail> => this.json(`${objectPath(scene, object)}?format=json`);
   /** One object's mesh and elements. */
   objectMesh = (scene: string, object: string): Promise<ArrayBuffer> => this.bytes(`${objectPath(scene, object)}?format=glb`);

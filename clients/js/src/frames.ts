@@ -24,7 +24,8 @@ const CRC = new Uint32Array(256).map((_, n) => {
   return n;
 });
 
-function crc32(bytes: Uint8Array): number {
+/** CRC-32 (IEEE). */
+export function crc32(bytes: Uint8Array): number {
   let crc = 0xffffffff;
   for (let i = 0; i < bytes.length; i++) crc = CRC[(crc ^ bytes[i]!) & 255]! ^ (crc >>> 8);
   return (crc ^ 0xffffffff) >>> 0;
@@ -105,7 +106,8 @@ function decode(view: DataView, payload: Uint8Array): Frame {
   return frame;
 }
 
-function fromHalf(bits: Uint16Array): Float32Array<ArrayBuffer> {
+/** Widens numbers of half precision, exactly. */
+export function fromHalf(bits: Uint16Array): Float32Array<ArrayBuffer> {
   const values = new Float32Array(bits.length);
   bits.forEach((half, i) => {
     const [exponent, fraction] = [(half >> 10) & 31, half & 1023];

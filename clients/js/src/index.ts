@@ -6,5 +6,6 @@ export { ElementMap, FrameReader, HALF, LAST, REPLACE, apply, reach, readFrames,
 export { Connection, Refused, Unreachable, type ConnectionOptions } from './http.js';
 export { makeWorker, streamInWorker } from './in-worker.js';
 export { stream, type Snapshot, type StreamEvent, type StreamOptions } from './stream.js';
+export { AtlasPages, readTiles, type AtlasTexels, type Place, type Tile, type TileFrame } from './tiles.js';
 export type { FromWorker } from './worker.js';
 export * from './types.js';

@@ -197,6 +197,14 @@ def test_atlases_are_arrays(client: Client) -> None:
     assert page.shape == (atlas.pages[0].height, atlas.pages[0].width, 3)
     # Texels are read from the elements: no brighter than those, and lit where there is a surface.
     assert page[valid > 0.5].mean() > 0 and page.max() <= scene.light_map().values.max() * 1.001
+    # Tiles lead to the same bits, before and after an edit.
+    pages = scene.atlas_pages(precision="float")
+    assert np.array_equal(pages.pages[0].values, page) and np.array_equal(pages.pages[0].valid, valid > 0.5)
+    scene.edit(Move("crate", ASIDE), samples=8).wait(60)
+    after = scene.atlas_pages(pages, precision="float")
+    now = exr.read(scene.atlas_page(0, precision="float"))
+    assert after.version > pages.version and np.array_equal(after.pages[0].values, now) and (now != page).any()
+    assert scene.atlas_pages(after, precision="float") is after
     scene.delete()
 
 

@@ -54,6 +54,7 @@ from .core.models import (
     SceneSummary,
 )
 from .core.problems import DeltaError, JobFailed, Problem, RebakeError, TransportFailed
+from .core.tiles import AtlasPage, AtlasPages, Tile, TileFrame, read_tiles
 from .core.uploads import Upload
 
 __all__ = [
@@ -64,6 +65,8 @@ __all__ = [
     "AsyncScene",
     "Atlas",
     "AtlasObject",
+    "AtlasPage",
+    "AtlasPages",
     "Budget",
     "Client",
     "DeltaError",
@@ -105,7 +108,10 @@ __all__ = [
     "Sky",
     "Snapshot",
     "SpotLight",
+    "Tile",
+    "TileFrame",
     "TransportFailed",
     "Undo",
     "Upload",
+    "read_tiles",
 ]

@@ -160,6 +160,7 @@ class Scene(_Handle[SceneFlows]):
     object_file = _does(SceneFlows.object_file)
     atlas = _does(SceneFlows.atlas)
     atlas_page = _does(SceneFlows.atlas_page)
+    atlas_pages = _does(SceneFlows.atlas_pages)
     render = _does(SceneFlows.render)
     sample = _does(SceneFlows.sample)
     delete = _does(SceneFlows.delete)

@@ -17,8 +17,9 @@ from .decode import decode
 from .delta import Elements, LightMap
 from .edits import Edit, Redo, Undo, budget_json, edit_json
 from .jobs import JobFlows
-from .problems import RebakeError
+from .problems import Problem, RebakeError
 from .steps import FIRST_WAIT, LONGEST_WAIT, Flow, Now, Patience, Request, Response, Sleep, call
+from .tiles import AtlasPages, read_tiles
 from .uploads import File, Upload, media_type, read_file, upload_query
 
 T = TypeVar("T")
@@ -260,6 +261,27 @@ class SceneFlows:
         `png`."""
         response = yield from self.get(f"/atlas/{page}", format=format, precision=precision, part=part, layer=layer)
         return response.body
+
+    def atlas_pages(
+        self,
+        known: AtlasPages | None = None,
+        precision: str | None = None,
+        part: str | None = None,
+        layer: str | None = None,
+    ) -> Flow[AtlasPages]:
+        """All pages of the atlas as arrays, up to date. Of pages that are known, from an earlier call with the same
+        `precision` (`half` or `float`), `part` and `layer`, only tiles that changed are fetched."""
+        known = known or AtlasPages()
+        query = {"precision": precision, "part": part, "layer": layer}
+        try:
+            response = yield from self.get("/atlas/deltas", since=known.version, **query)
+        except Problem as problem:
+            if problem.kind != "version-ahead":
+                raise
+            # Another life of the service.
+            known = AtlasPages()
+            response = yield from self.get("/atlas/deltas", since=0, **query)
+        return known.apply(read_tiles(response.body))
 
     def render(self, /, **query: Any) -> Flow[bytes]:
         """A picture of the scene as it is lit now, by default PNG. Takes what the API takes: `camera`, or `eye`,
