@@ -777,6 +777,7 @@ export interface Scene {
   mode: SceneMode;
   /** Largest distance between neighbouring elements, metres. */
   spacing: number;
+  sizing?: Sizing | null;
   /** Texels per metre of its atlas; absent where it was uploaded without one. */
   texels_per_metre?: number | null;
   /** Version of the light map; 0 before anything was published. */
@@ -986,6 +987,9 @@ export interface Show {
 
 /** One edit. */
 export type SingleEdit = Insert | Remove | Move | Repaint | Hide | Show | Undo | Redo | Relight | InsertLight | Sky | RemoveLight | MoveLight | GroupLights;
+
+/** How the elements of a scene are spread over what they lie on. */
+export type Sizing = "uniform" | "light";
 
 /**
  * Gives the scene its light from outside, instead of what it has of it: a picture or the same from everywhere. The light
