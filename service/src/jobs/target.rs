@@ -53,7 +53,7 @@ impl Jobs {
         }
         // A full queue has enough to do: the next edit asks again.
         let Ok(ticket) = self.ticket(scene.number) else { return };
-        let seed = next_seed(self.config.seed, &mut (FIRST_SEED | scene.published().version));
+        let seed = next_seed(self.config.seed, &mut (FIRST_SEED | head.sequence));
         let spec = JobSpec::new(target, seed, head.sequence);
         let record = new_record(ticket.number, scene, (JobKind::Refine, Priority::Low), spec);
         let accepted = Accepted { scene: scene.number, edit: None, job: &record, key: None, jobs: head.jobs };

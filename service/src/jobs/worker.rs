@@ -165,8 +165,9 @@ fn refine(
     observer.begin(Piece { sequence, slots: world.slots(), floor, yields: Yields::AtOnce, before });
     observer.goes_on();
     let budget = Budget { samples_per_element: left, ..spec.engine_budget() };
-    // Runs of one job must not repeat the samples that the map holds: each has a seed of its own.
-    let seed = mixed(spec.seed ^ u64::from(before) << 32) ^ scene.published().version;
+    // Runs must not repeat the samples that the map holds: each has a seed of its own, by what is there before it. Versions
+    // would do, but are others after a restart.
+    let seed = mixed(spec.seed ^ u64::from(before) << 32) ^ sequence;
     let result = observer.jobs.config.engine.refine(&world, map, &budget, seed, observer);
     match take_over_end(observer, scene, (sequence, Samples::More), result) {
         Ok(_) => done(run),

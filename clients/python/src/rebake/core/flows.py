@@ -49,10 +49,10 @@ class ServiceFlows:
         """Uploads a scene: binary glTF, or a zip archive of a `.gltf` with its files. Its bake starts at once. Answers
         when the scene is laid out: before, nothing is known of what is in it."""
         data = read_file(file)
-        headers = {"content-type": media_type(data)}
+        # With a key, what is sent again after a connection broke makes no second scene.
+        headers = {"content-type": media_type(data), "idempotency-key": uuid.uuid4().hex}
         request = Request("POST", "/v1/scenes", upload_query(settings), headers, data)
-        # A connection that breaks may have left a scene behind: to send it again would make a second one.
-        response = yield from call(request, self.patience, repeatable=False)
+        response = yield from call(request, self.patience)
         scene = decode(models.SceneInfo, response.json())
         pause = FIRST_WAIT
         while scene.state == "preparing":
