@@ -237,6 +237,33 @@ async fn versions_that_a_crash_lost_are_replaced_as_a_whole() {
     server.stop().await;
 }
 
+/// Versions are others after a crash, but random numbers do not go by them.
+#[tokio::test]
+async fn light_goes_on_alike_after_a_crash() {
+    let [directory, crashed] = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
+    let server = start(directory.path()).await;
+    let scene = server.baked_room("?spacing=0.5&samples_per_element=4").await;
+    copy(directory.path(), crashed.path());
+    let further = async |server: &Server| {
+        let body = json!({ "target": { "samples_per_element": 24 } }).to_string();
+        let request =
+            server.request(reqwest::Method::PATCH, &path_of(&scene)).header("content-type", "application/json");
+        let told = Answer::of(request.body(body).send().await.unwrap()).await.json(200);
+        let job = server.end_of(told["current_job"].as_str().unwrap()).await;
+        assert_eq!((&job["kind"], &job["progress"]["samples_per_element"]), (&"refine".into(), &24.into()));
+        light(server, &scene).await
+    };
+    let before = light(&server, &scene).await;
+    let went_on = further(&server).await;
+    assert!(went_on != before);
+    server.stop().await;
+    let restarted = start(crashed.path()).await;
+    let now = restarted.get(&path_of(&scene)).await.json(200);
+    assert!(now["version"].as_u64().unwrap() > scene["version"].as_u64().unwrap() + 1000, "{now}");
+    assert!(further(&restarted).await == went_on);
+    restarted.stop().await;
+}
+
 #[tokio::test]
 async fn a_paused_job_waits_and_goes_on_also_after_a_restart() {
     let directory = tempfile::tempdir().unwrap();
