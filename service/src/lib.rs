@@ -44,5 +44,5 @@ pub use sizing::Sizing;
 pub use store::faults;
 pub use unit::LightUnit;
 
-/// The largest albedo that anybody may let light meet: light of a closed room has to end.
+/// The largest albedo that anybody may let light meet: light of a closed room halves in 700 bounces, and has to end.
 pub const LARGEST_ALBEDO: f32 = 0.999;

@@ -21,8 +21,6 @@ use crate::state::App;
 use crate::store::records::StoredOutside;
 use crate::unit::LightUnit;
 
-/// Largest albedo that may be asked for: light halves in 700 bounces.
-
 /// How to upload a scene.
 #[derive(Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
