@@ -22,7 +22,7 @@ fn plain() -> World {
 }
 
 fn world_of(scene: Scene) -> World {
-    let options = WorldOptions { spacing: Some(0.5), ..WorldOptions::default() };
+    let options = WorldOptions { spacing: Some(0.8), ..WorldOptions::default() };
     World::new(scene, &options).expect("a building")
 }
 
