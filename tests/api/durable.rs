@@ -242,7 +242,7 @@ async fn versions_that_a_crash_lost_are_replaced_as_a_whole() {
 async fn light_goes_on_alike_after_a_crash() {
     let [directory, crashed] = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     let server = start(directory.path()).await;
-    let scene = server.baked_room("?spacing=0.5&samples_per_element=4").await;
+    let scene = server.baked_room("?samples_per_element=4").await;
     copy(directory.path(), crashed.path());
     let further = async |server: &Server| {
         let body = json!({ "target": { "samples_per_element": 24 } }).to_string();
