@@ -204,6 +204,12 @@ async fn edits_name_objects_and_lights_by_their_nodes() {
         (json!({ "op": "hide", "objects": [{ "id": "id-room" }] }), "invalid-value", "objects[0]"),
         (json!({ "op": "hide", "objects": [{ "node": 1, "id": "x" }] }), "invalid-value", "objects[0]"),
         (json!({ "op": "remove_light", "light": { "node": 0 } }), "unknown-light", "light"),
+        (json!({ "op": "remove", "objects": [{ "id": "nobody" }] }), "unknown-object", "objects[0]"),
+        (
+            json!({ "op": "remove", "objects": vec![json!({ "node": node("cupboard-2") }); 4097] }),
+            "invalid-value",
+            "objects[4096]",
+        ),
         (
             json!({ "edits": [{ "op": "relight", "lights": [{ "light": { "id": 7 } }] }] }),
             "invalid-value",

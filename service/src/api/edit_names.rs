@@ -9,7 +9,7 @@ use super::misread::join;
 use super::problem::{ApiResult, Kind, Problem};
 
 /// Names of objects in all edits of a request.
-const MAX_NAMES: usize = 4096;
+pub(super) const MAX_NAMES: usize = 4096;
 /// Those with a `*`: each is held against every object.
 const MAX_PATTERNS: usize = 64;
 

@@ -2,13 +2,17 @@
 //! `{"node": 3}`, `{"id": "b7c1"}`. They are turned into names where an edit is accepted, and are kept as such: nodes do
 //! not change, and no name does.
 
+use std::collections::HashMap;
+
 use bytes::Bytes;
+use rebake_core::scene::{Light, LightKind};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use utoipa::ToSchema;
 
+use super::edit_names::MAX_NAMES;
 use super::problem::{ApiResult, Kind, Problem};
-use crate::engine::{self, Scene};
+use crate::engine::{NodeSource, Scene};
 
 /// An object or a light of a scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -57,7 +61,7 @@ pub(super) fn with_names(body: &Bytes, scene: &Scene) -> ApiResult<Bytes> {
         return Ok(body.clone());
     }
     let Ok(Value::Object(mut fields)) = serde_json::from_slice::<Value>(body) else { return Ok(body.clone()) };
-    let mut names = Names { scene, found: false };
+    let mut names = Names::new(scene);
     names.of_edit(&mut fields, "")?;
     if let Some(Value::Array(edits)) = fields.get_mut("edits") {
         for (index, edit) in edits.iter_mut().enumerate() {
@@ -66,19 +70,35 @@ pub(super) fn with_names(body: &Bytes, scene: &Scene) -> ApiResult<Bytes> {
             }
         }
     }
-    if !names.found {
+    if names.found == 0 {
         return Ok(body.clone());
     }
     serde_json::to_vec(&fields).map(Bytes::from).map_err(Problem::internal)
 }
 
+/// Names with the nodes that they are.
+type Nodes<'s> = Vec<(&'s NodeSource, &'s str)>;
+
 struct Names<'s> {
-    scene: &'s Scene,
-    /// A reference was turned into a name.
-    found: bool,
+    objects: Nodes<'s>,
+    lights: Nodes<'s>,
+    /// References that were turned into names.
+    found: usize,
 }
 
-impl Names<'_> {
+impl<'s> Names<'s> {
+    fn new(scene: &'s Scene) -> Names<'s> {
+        let objects: Nodes<'s> =
+            scene.objects.iter().filter_map(|object| Some((object.node.as_ref()?, object.name.as_str()))).collect();
+        let by_name: HashMap<&str, &NodeSource> = objects.iter().map(|(node, name)| (*name, *node)).collect();
+        let of_light = |light: &'s Light| match &light.kind {
+            LightKind::Emissive { object, .. } => by_name.get(object.as_str()).copied(),
+            _ => scene.light_nodes.get(&light.name),
+        };
+        let lights = scene.lights.iter().filter_map(|light| Some((of_light(light)?, light.name.as_str()))).collect();
+        Names { objects, lights, found: 0 }
+    }
+
     fn of_edit(&mut self, edit: &mut Map<String, Value>, path: &str) -> ApiResult<()> {
         // Its `light` is what the new light is.
         let is_new = edit.get("op").is_some_and(|op| op == "insert_light");
@@ -110,28 +130,26 @@ impl Names<'_> {
             "has to be a name, {\"node\": 3} with a node of the file, or {\"id\": \"…\"} with the extras.id of one";
         let reference =
             Reference::deserialize(&*value).map_err(|_| Problem::field(Kind::InvalidValue, place, about))?;
+        self.found += 1;
+        if self.found > MAX_NAMES {
+            let reason = format!("a request may hold {MAX_NAMES} references to nodes");
+            return Err(Problem::field(Kind::InvalidValue, place, reason));
+        }
         *value = Value::String(self.name_of(&reference, thing, place)?);
-        self.found = true;
         Ok(())
     }
 
     fn name_of(&self, reference: &Reference, thing: Thing, place: &str) -> ApiResult<String> {
-        let is_meant = |node: &engine::NodeSource| match reference {
+        let is_meant = |node: &NodeSource| match reference {
             Reference::Name(_) => false,
             Reference::Node(NodeReference { node: index }) => node.index == *index,
             Reference::Id(IdReference { id }) => node.id.as_deref() == Some(id),
         };
-        let scene = self.scene;
-        let names: Vec<&str> = match thing {
-            Thing::Object => {
-                let meant = scene.objects.iter().filter(|object| object.node.as_ref().is_some_and(is_meant));
-                meant.map(|object| object.name.as_str()).collect()
-            }
-            Thing::Light => {
-                let meant = scene.lights.iter().filter(|light| engine::node_of(scene, light).is_some_and(is_meant));
-                meant.map(|light| light.name.as_str()).collect()
-            }
+        let all = match thing {
+            Thing::Object => &self.objects,
+            Thing::Light => &self.lights,
         };
+        let names: Vec<&str> = all.iter().filter(|(node, _)| is_meant(node)).map(|(_, name)| *name).collect();
         let (kind, things) = match thing {
             Thing::Object => (Kind::UnknownObject, "objects"),
             Thing::Light => (Kind::UnknownLight, "lights"),
