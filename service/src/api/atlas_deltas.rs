@@ -11,9 +11,9 @@ use serde::Deserialize;
 use utoipa::IntoParams;
 
 use super::atlas::{BYTES_PER_TEXEL, PagePrecision, atlas_of};
-use super::between::read_versions;
+use super::between::{Immutable, find, read_versions};
 use super::coding::encode_body;
-use super::extract::{ApiPath, ApiQuery, Coding, ETags};
+use super::extract::{ApiPath, ApiQuery, Coding};
 use super::filter::view;
 use super::lightmap::{Chosen, choose};
 use super::problem::{ApiResult, Kind, Problem};
@@ -153,19 +153,9 @@ pub(super) async fn get_between(
     let (from, to) = read_versions(&versions)?;
     let published = scene.published();
     let selection = select(&published, query.layer.as_deref(), query.part, (query.filter, query.precision))?;
-    let found = find(&scene, &published, &selection, (from, to))?;
-    let coding = Coding::accepted(&headers);
-    // A strong tag is one of bytes: each coding has its own.
-    let tag = coding.header_value().map_or_else(|| versions.clone(), |coding| format!("{versions}-{coding}"));
-    // What needs a token is nothing for a cache that others share.
-    let caches = if app.config.tokens.is_some() { "private" } else { "public" };
-    let about = [
-        (header::ETAG, format!("\"{tag}\"")),
-        (header::CACHE_CONTROL, format!("{caches}, max-age=31536000, immutable")),
-        (VERSION.clone(), to.to_string()),
-        (header::VARY, "accept-encoding".to_owned()),
-    ];
-    if ETags::from_header(&headers, &header::IF_NONE_MATCH)?.is_some_and(|tags| tags.matches_weakly(&tag)) {
+    let found = find(&published, (from, to), || scene.tiles.deltas.find(&(selection.clone(), from, to)))?;
+    let Immutable { about, coding, is_known } = Immutable::new(&app, &headers, &versions, to)?;
+    if is_known {
         return Ok((StatusCode::NOT_MODIFIED, about).into_response());
     }
     let delta = match found {
@@ -218,31 +208,6 @@ pub(super) fn selection_of(
     };
     let half = precision.unwrap_or_default() == PagePrecision::Half;
     Some(Selection { layer, wanted, filter: filter.unwrap_or(Filter::Statistical), half })
-}
-
-/// A delta that is known already; none where it is to be made from the present version.
-fn find(
-    scene: &SceneEntry,
-    published: &Published,
-    selection: &Selection,
-    (from, to): (u64, u64),
-) -> ApiResult<Option<KeptDelta>> {
-    let present = published.version;
-    if to > present {
-        let text = format!("{from}-{to}: the light map is at version {present}, not yet at {to}");
-        return Err(Problem::new(Kind::UnknownVersion, text));
-    }
-    // Lost in a crash: no client had it, or it starts over.
-    let is_known = published.knows(from) && published.knows(to);
-    if is_known && from == to {
-        return Ok(Some(KeptDelta { frame: Bytes::new(), stated: None }));
-    }
-    if is_known && to == present {
-        return Ok(None);
-    }
-    let kept = scene.tiles.deltas.find(&(selection.clone(), from, to)).filter(|_| is_known);
-    let text = || format!("{from}-{to}: not kept any more; the light map is at version {present}");
-    kept.map(Some).ok_or_else(|| Problem::new(Kind::VersionForgotten, text()))
 }
 
 /// What leads from version `since` of the pages to the one that is given. Off the async threads; given up when the client

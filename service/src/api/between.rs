@@ -1,9 +1,7 @@
 //! What changed between two versions, for caches: it never changes.
 
-use std::sync::Arc;
-
 use axum::extract::State;
-use axum::http::{HeaderMap, StatusCode, header};
+use axum::http::{HeaderMap, HeaderName, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use rebake_core::delta;
@@ -13,6 +11,7 @@ use super::extract::{ApiPath, Coding, ETags};
 use super::problem::{ApiResult, Kind, Problem};
 use super::versioned::{ESTIMATED_RMSE, VERSION};
 use super::{Shared, find_scene};
+use crate::state::App;
 use crate::store::deltas::KeptDelta;
 use crate::store::scene::SceneEntry;
 use crate::store::versions::Published;
@@ -50,26 +49,14 @@ pub(super) async fn get(
 ) -> ApiResult<Response> {
     let scene = find_scene(&app, &id).await?;
     let (from, to) = read_versions(&versions)?;
-    let found = find(&scene, from, to)?;
-    let coding = Coding::accepted(&headers);
-    // A strong tag is one of bytes: each coding has its own.
-    let tag = coding.header_value().map_or_else(|| versions.clone(), |coding| format!("{versions}-{coding}"));
-    // What needs a token is nothing for a cache that others share.
-    let caches = if app.config.tokens.is_some() { "private" } else { "public" };
-    let about = [
-        (header::ETAG, format!("\"{tag}\"")),
-        (header::CACHE_CONTROL, format!("{caches}, max-age=31536000, immutable")),
-        (VERSION.clone(), to.to_string()),
-        (header::VARY, "accept-encoding".to_owned()),
-    ];
-    if ETags::from_header(&headers, &header::IF_NONE_MATCH)?.is_some_and(|tags| tags.matches_weakly(&tag)) {
+    let published = scene.published();
+    let found = find(&published, (from, to), || scene.deltas.find(&(from, to)))?;
+    let Immutable { about, coding, is_known } = Immutable::new(&app, &headers, &versions, to)?;
+    if is_known {
         return Ok((StatusCode::NOT_MODIFIED, about).into_response());
     }
     let encode = move || {
-        let KeptDelta { frame, stated } = match found {
-            Found::Kept(delta) => delta,
-            Found::Present(published) => make(&scene, &published, from),
-        };
+        let KeptDelta { frame, stated } = found.unwrap_or_else(|| make(&scene, &published, from));
         encode_body(coding, frame).map(|body| (body, stated))
     };
     let (body, stated) = app.compute.answer(encode).await?.map_err(Problem::internal)?;
@@ -78,32 +65,60 @@ pub(super) async fn get(
     Ok((about, stated, [(header::CONTENT_TYPE, delta::CONTENT_TYPE)], coding.headers(), body).into_response())
 }
 
-/// Where a delta comes from.
-enum Found {
-    /// It was made before.
-    Kept(KeptDelta),
-    /// From the present map.
-    Present(Arc<Published>),
+/// How what leads from one version to another is answered: caches may keep it for good.
+pub(super) struct Immutable {
+    pub(super) about: [(HeaderName, String); 4],
+    pub(super) coding: Coding,
+    /// The client has it.
+    pub(super) is_known: bool,
 }
 
-fn find(scene: &SceneEntry, from: u64, to: u64) -> ApiResult<Found> {
-    let published = scene.published();
+impl Immutable {
+    /// `versions`: as they stand in the path, up to `to`.
+    pub(super) fn new(app: &App, headers: &HeaderMap, versions: &str, to: u64) -> ApiResult<Immutable> {
+        let coding = Coding::accepted(headers);
+        // A strong tag is one of bytes: each coding has its own.
+        let tag = coding.header_value().map_or_else(|| versions.to_owned(), |coding| format!("{versions}-{coding}"));
+        // What needs a token is nothing for a cache that others share.
+        let caches = if app.config.tokens.is_some() { "private" } else { "public" };
+        let about = [
+            (header::ETAG, format!("\"{tag}\"")),
+            (header::CACHE_CONTROL, format!("{caches}, max-age=31536000, immutable")),
+            (VERSION.clone(), to.to_string()),
+            (header::VARY, "accept-encoding".to_owned()),
+        ];
+        let tags = ETags::from_header(headers, &header::IF_NONE_MATCH)?;
+        Ok(Immutable { about, coding, is_known: tags.is_some_and(|tags| tags.matches_weakly(&tag)) })
+    }
+}
+
+/// A delta that is known already: empty between equal versions, else what `kept` finds; none where it is to be made from
+/// the present version.
+pub(super) fn find(
+    published: &Published,
+    (from, to): (u64, u64),
+    kept: impl FnOnce() -> Option<KeptDelta>,
+) -> ApiResult<Option<KeptDelta>> {
     let present = published.version;
     if to > present {
         let text = format!("{from}-{to}: the light map is at version {present}, not yet at {to}");
         return Err(Problem::new(Kind::UnknownVersion, text));
     }
-    // Lost in a crash: no client had it, or it starts over.
-    let is_known = published.knows(from) && published.knows(to);
-    if is_known && from == to {
-        return Ok(Found::Kept(KeptDelta { frame: Bytes::new(), stated: None }));
+    let forgotten = || {
+        let text = format!("{from}-{to}: not kept any more; the light map is at version {present}");
+        Problem::new(Kind::VersionForgotten, text)
+    };
+    if !(published.knows(from) && published.knows(to)) {
+        // Lost in a crash: no client had it, or it starts over.
+        return Err(forgotten());
     }
-    if is_known && to == present {
-        return Ok(Found::Present(published));
+    if from == to {
+        return Ok(Some(KeptDelta { frame: Bytes::new(), stated: None }));
     }
-    let kept = scene.deltas.find(&(from, to)).filter(|_| is_known);
-    let text = || format!("{from}-{to}: not kept any more; the light map is at version {present}");
-    kept.map(Found::Kept).ok_or_else(|| Problem::new(Kind::VersionForgotten, text()))
+    if to == present {
+        return Ok(None);
+    }
+    kept().map(Some).ok_or_else(forgotten)
 }
 
 fn make(scene: &SceneEntry, published: &Published, from: u64) -> KeptDelta {
