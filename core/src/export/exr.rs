@@ -21,7 +21,7 @@ pub const EXR_WIDTH: usize = 1024;
 const MAX_NAME_BYTES: usize = 255;
 
 /// Largest width or height, pixels: readers take picture sizes as signed 32-bit numbers.
-const MAX_SIDE: usize = 1 << 24;
+pub(super) const MAX_SIDE: usize = 1 << 24;
 
 /// Writes layers of light-map values as a 32-bit float OpenEXR picture, losslessly compressed.
 ///
@@ -97,15 +97,8 @@ pub fn write_pages_exr(
     precision: Precision,
     attributes: &[(&str, &str)],
 ) -> Result<Vec<u8>, ExportError> {
-    let lists = || ExportError::Lists("the page".to_owned());
-    let first = pages.first().ok_or_else(lists)?.1.borrow();
-    let (size, texels) = ((first.width, first.height), first.width * first.height);
-    let fits = |page: &TexelPage| {
-        (page.width, page.height) == size && page.values.len() == texels && page.valid.len() == texels
-    };
-    if texels == 0 || !pages.iter().all(|(_, page)| fits(page.borrow())) {
-        return Err(lists());
-    }
+    let first = first_of(pages)?;
+    let size = (first.width, first.height);
     let channel = |page: &TexelPage, part: usize| {
         let values = page.values.iter().map(|value| value[part]);
         match precision {
@@ -123,6 +116,21 @@ pub fn write_pages_exr(
         }
     }
     write(size, AnyChannels::sort(list), &[], attributes)
+}
+
+/// The first of several readings of the same page.
+///
+/// # Errors
+/// [`ExportError::Lists`]: no pages, no texels, pages that differ in size.
+pub(super) fn first_of<'p>(pages: &'p [(&str, impl Borrow<TexelPage>)]) -> Result<&'p TexelPage, ExportError> {
+    let lists = || ExportError::Lists("the page".to_owned());
+    let first: &TexelPage = pages.first().ok_or_else(lists)?.1.borrow();
+    let (size, texels) = ((first.width, first.height), first.width * first.height);
+    let fits = |page: &TexelPage| {
+        (page.width, page.height) == size && page.values.len() == texels && page.valid.len() == texels
+    };
+    let is_usable = texels > 0 && pages.iter().all(|(_, page)| fits(page.borrow()));
+    if is_usable { Ok(first) } else { Err(lists()) }
 }
 
 /// What is finite stays so.

@@ -6,11 +6,9 @@ use ::ktx2::dfd::{Basic, Block};
 use ::ktx2::{Format, Header, Index, LevelIndex};
 
 use super::ExportError;
-use super::exr::{Precision, to_half};
+use super::exr::{MAX_SIDE, Precision, first_of, to_half};
 use crate::texels::TexelPage;
 
-/// The largest side of a texture, texels.
-const MAX_SIDE: usize = 1 << 24;
 /// Keys that the format keeps for itself begin so.
 const RESERVED: [&str; 2] = ["KTX", "ktx"];
 
@@ -27,19 +25,10 @@ pub fn write_pages_ktx2(
     precision: Precision,
     attributes: &[(&str, &str)],
 ) -> Result<Vec<u8>, ExportError> {
-    let lists = || ExportError::Lists("the page".to_owned());
-    let first = pages.first().ok_or_else(lists)?.1.borrow();
-    let size @ (width, height) = (first.width, first.height);
+    let first = first_of(pages)?;
+    let (width, height) = (first.width, first.height);
     if width.max(height) > MAX_SIDE {
         return Err(ExportError::TooLarge);
-    }
-    let fits = |page: &TexelPage| {
-        (page.width, page.height) == size
-            && page.values.len() == width * height
-            && page.valid.len() == page.values.len()
-    };
-    if width * height == 0 || !pages.iter().all(|(_, page)| fits(page.borrow())) {
-        return Err(lists());
     }
     let names: Vec<&str> = pages.iter().map(|(name, _)| *name).collect();
     let names = names.join(",");
