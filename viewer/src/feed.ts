@@ -40,7 +40,7 @@ export class Feed {
   follow(scene: string): void {
     this.scene = scene;
     this.stream();
-    void this.listen(scene);
+    void this.heard.attempt(() => this.listen(scene));
   }
 
   stop(): void {
@@ -100,7 +100,7 @@ export class Feed {
     const { scene } = this;
     if (!scene) return;
     this.events.abort();
-    void this.listen(scene);
+    void this.heard.attempt(() => this.listen(scene));
     await this.heard.scene();
   }
 
@@ -118,7 +118,7 @@ export class Feed {
       case 'online':
         if (this.isLost) {
           banner(null);
-          void this.heard.attempt(() => this.catchUp()).then(() => this.heard.back());
+          void this.heard.attempt(() => this.catchUp()).then(() => this.heard.attempt(() => this.heard.back()));
         }
         this.isLost = false;
         say('Connected');

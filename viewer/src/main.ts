@@ -145,8 +145,10 @@ async function open(id: string): Promise<void> {
   nameCameras(scene);
   useCamera();
   feed.follow(id);
-  await Promise.all([editor.refresh(), library.refresh()]);
+  await editor.refresh();
   panels();
+  // Beside the scene: it is there without what else could be put into it.
+  void attempt(() => library.refresh().then(panels));
   if (scene?.lights.length === 0) offerLight();
 }
 
@@ -352,7 +354,7 @@ onFile('asset-file', (file) => attempt(() => arrivals.asset(file)));
 watchControls({
   open: (id) => void attempt(() => open(id)),
   about() {
-    const deleted = () => void listScenes();
+    const deleted = () => void attempt(() => listScenes());
     const renamed = (now: Scene) => void attempt(async () => ((scene = now), await nameScenes(now.id)));
     if (scene) showScene(scene, { renamed, deleted, attempt });
   },
