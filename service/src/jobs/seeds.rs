@@ -1,7 +1,8 @@
 //! Seeds of jobs.
 
 /// The seed of a scene's next job. It depends on nothing but the service's own seed and how many jobs the scene had, so
-/// the same scene and the same edits give the same light map, bit for bit, whatever else the service does.
+/// the same scene and the same edits give the same light map, bit for bit, where no job makes way for another: one that did
+/// goes on from its map, with another seed.
 pub(crate) fn next_seed(service: u64, jobs: &mut u64) -> u64 {
     *jobs += 1;
     mixed(jobs.wrapping_mul(0x9E37_79B9_7F4A_7C15)) ^ mixed(service)
