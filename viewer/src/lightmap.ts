@@ -1,17 +1,18 @@
 // The light map on the page's side: what is current, what it was before the edit, what is shown.
 
 import { DynamicDrawUsage, BufferAttribute } from 'three';
-import { apply, reach, type Frame, type Rgb, type SceneObject } from 'rebake';
+import { apply, reach, readVertices, type Frame, type Reads, type Rgb, type SceneObject } from 'rebake';
 
 /** Marks elements that were not there before the edit. Estimated light may be a little below 0, never this far. */
 const NEW = -1e30;
 
-/** Elements of one object as vertex attributes; they look into the map's own arrays. */
+/** Elements of one object as vertex attributes; they look into the map's own arrays, or hold means of what is there. */
 interface Window {
   first: number;
   count: number;
   light: BufferAttribute;
   base: BufferAttribute;
+  reads: Reads | undefined;
 }
 
 export class LightMap {
@@ -23,6 +24,7 @@ export class LightMap {
   private shown = new Float32Array();
   /** In the order of their elements, which no two share. */
   private windows: Window[] = [];
+  private readonly stale = new Set<Window>();
   private followsCurrent = true;
   /** Whether the light before the edit is looked at, and whether the graphics card has an older one. */
   private showsBase = false;
@@ -65,6 +67,7 @@ export class LightMap {
       }
     }
     if (grown && this.followsCurrent) this.shown.set(this.current);
+    this.settle();
     return grown;
   }
 
@@ -90,7 +93,7 @@ export class LightMap {
   showCurrent(): void {
     this.followsCurrent = true;
     this.shown.set(this.current);
-    this.touch(0, this.elements);
+    this.touchAll();
   }
 
   /** Shows one layer, each channel times a factor. */
@@ -105,7 +108,7 @@ export class LightMap {
         this.shown[i + 2]! *= b;
       }
     }
-    this.touch(0, this.elements);
+    this.touchAll();
   }
 
   /** Shows base + change × layer, as long as the map has the length of both. */
@@ -118,25 +121,35 @@ export class LightMap {
       shown[i + 1] = base[i + 1]! + g * layer[i + 1]!;
       shown[i + 2] = base[i + 2]! + b * layer[i + 2]!;
     }
-    this.touch(0, this.elements);
+    this.touchAll();
   }
 
   /** Attributes for an object's vertices. */
-  attributes({ elements: { first, count } }: SceneObject): { light: BufferAttribute; base: BufferAttribute } {
+  attributes({ elements: { first, count } }: SceneObject, reads?: Reads): { light: BufferAttribute; base: BufferAttribute } {
     const window = (array: Float32Array) => {
-      const attribute = new BufferAttribute(array.subarray(3 * first, 3 * (first + count)), 3);
+      const own = array.subarray(3 * first, 3 * (first + count));
+      const attribute = new BufferAttribute(reads ? new Float32Array(reads.elements.length) : own, 3);
       attribute.setUsage(DynamicDrawUsage);
       return attribute;
     };
     const pair = { light: window(this.shown), base: window(this.base) };
-    this.windows.push({ first, count, ...pair });
+    const made = { first, count, reads, ...pair };
+    this.read(made, pair.light, this.shown);
+    this.read(made, pair.base, this.base);
+    this.windows.push(made);
     this.windows.sort((a, b) => a.first - b.first);
     return pair;
+  }
+
+  /** Where vertices share elements, what they read of an array of the map. */
+  private read({ first, count, reads }: Window, attribute: BufferAttribute, from: Float32Array): void {
+    if (reads) readVertices(reads, from.subarray(3 * first, 3 * (first + count)), attribute.array as Float32Array);
   }
 
   /** No attributes are in use any more. */
   release(): void {
     this.windows = [];
+    this.stale.clear();
   }
 
   /** The mean of an object's light, RGB mean: for tests and the console. */
@@ -174,6 +187,11 @@ export class LightMap {
     return [1, 2, 5, 10].map((step) => step * decade).find((size) => size >= wanted * 0.999999) ?? wanted;
   }
 
+  private touchAll(): void {
+    this.touch(0, this.elements);
+    this.settle();
+  }
+
   private touch(first: number, count: number): void {
     // A snapshot has thousands of ranges, a scene thousands of objects.
     let [low, high] = [0, this.windows.length];
@@ -186,6 +204,10 @@ export class LightMap {
       const window = this.windows[k]!;
       const from = Math.max(first, window.first);
       const to = Math.min(first + count, window.first + window.count);
+      if (window.reads) {
+        this.stale.add(window);
+        continue;
+      }
       // Thousands of little uploads cost more than one that is too large.
       if (window.light.updateRanges.length < 64) window.light.addUpdateRange(3 * (from - window.first), 3 * (to - from));
       else {
@@ -196,8 +218,20 @@ export class LightMap {
     }
   }
 
+  /** Reads anew where vertices share elements that were touched: once, however many ranges there were. */
+  private settle(): void {
+    for (const window of this.stale) {
+      this.read(window, window.light, this.shown);
+      window.light.needsUpdate = true;
+    }
+    this.stale.clear();
+  }
+
   private touchBase(): void {
     this.isBaseStale = !this.showsBase;
-    if (this.showsBase) for (const { base } of this.windows) base.needsUpdate = true;
+    for (const window of this.windows) {
+      this.read(window, window.base, this.base);
+      if (this.showsBase) window.base.needsUpdate = true;
+    }
   }
 }

@@ -4,7 +4,7 @@ import {
   AgXToneMapping, Box3, BufferGeometry, Color, Group, Matrix4, Mesh, MeshStandardMaterial, PerspectiveCamera,
   Raycaster, Scene as ThreeScene, ShaderMaterial, Vector2, Vector3, WebGLRenderer, type Object3D,
 } from 'three';
-import type { Camera, Point, Scene } from 'rebake';
+import { readsOf, type Camera, type Point, type Scene } from 'rebake';
 import { OrbitControls } from 'three/examples/jsm/controls/OrbitControls.js';
 import { GLTFLoader } from 'three/examples/jsm/loaders/GLTFLoader.js';
 import type { LightMap } from './lightmap';
@@ -122,12 +122,12 @@ export class Stage {
       const object = scene.objects.find((o) => o.name === name);
       if (!object) continue;
       const group = new Group();
-      const { light, base } = map.attributes(object);
+      const { light, base } = map.attributes(object, readsOf(node as Parameters<typeof readsOf>[0]));
       node.updateMatrixWorld(true);
       node.traverse((child) => {
         if (!(child instanceof Mesh)) return;
         const geometry: BufferGeometry = child.geometry;
-        geometry.deleteAttribute('color');
+        for (const unused of ['color', '_elements', '_weights']) geometry.deleteAttribute(unused);
         geometry.setAttribute('light', light);
         geometry.setAttribute('base', base);
         const from = child.material as MeshStandardMaterial;

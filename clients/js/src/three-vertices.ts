@@ -4,6 +4,7 @@ import { BufferAttribute, DynamicDrawUsage, Mesh, type MeshStandardMaterial } fr
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
 import { ElementMap, type Frame } from './frames.js';
 import { makeWorker, streamInWorker } from './in-worker.js';
+import { readVertices, readsOf, type Reads } from './reads.js';
 import type { Rebake } from './client.js';
 import type { StreamEvent } from './stream.js';
 import type { Layout } from './three.js';
@@ -14,11 +15,12 @@ import type { FromWorker } from './worker.js';
 /** As pages of an atlas come: to look at. */
 const FILTERED = { filter: 'statistical' } as const;
 
-/** The light of one object, which looks into the map. */
+/** The light of one object: a look into the map, or a mean of what is there where vertices share elements. */
 interface Window {
   first: number;
   count: number;
   light: BufferAttribute;
+  reads: Reads | undefined;
 }
 
 export class VertexLight implements Layout {
@@ -47,19 +49,22 @@ export class VertexLight implements Layout {
       const node = nodes.get(object.name);
       const meshes: LitMesh[] = [];
       const { first, count } = object.elements;
-      const light = new BufferAttribute(this.map.values.subarray(3 * first, 3 * (first + count)), 3).setUsage(DynamicDrawUsage);
+      const values = this.map.values.subarray(3 * first, 3 * (first + count));
+      const reads = node && readsOf(node as Parameters<typeof readsOf>[0]);
+      const light = new BufferAttribute(reads ? new Float32Array(reads.elements.length) : values, 3).setUsage(DynamicDrawUsage);
+      if (reads) readVertices(reads, values, light.array as Float32Array);
       node?.updateMatrixWorld(true);
       node?.traverse((child) => {
         if (!(child instanceof Mesh)) return;
         const mesh = child.clone(false) as LitMesh;
-        mesh.geometry.deleteAttribute('color');
+        for (const unused of ['color', '_elements', '_weights']) mesh.geometry.deleteAttribute(unused);
         mesh.geometry.setAttribute('light', light);
         mesh.material = lit(mesh.material);
         mesh.matrixAutoUpdate = false;
         mesh.matrix.copy(this.held.fromWorld(object).multiply(child.matrixWorld));
         meshes.push(mesh);
       });
-      this.windows.push({ first, count, light });
+      this.windows.push({ first, count, light, reads });
       this.held.show(object, meshes);
     }
     this.held.keep(scene.objects);
@@ -89,11 +94,17 @@ export class VertexLight implements Layout {
     const ranges = this.map.apply(frames);
     // The array was replaced: attributes have to look into the new one.
     if (this.map.values !== before) return this.build(this.scene!);
-    for (const { first, count, light } of this.windows) {
+    for (const { first, count, light, reads } of this.windows) {
+      let isTouched = false;
       for (const [from, length] of ranges) {
         const [low, high] = [Math.max(first, from), Math.min(first + count, from + length)];
-        if (low < high) mark(light, 3 * (low - first), 3 * (high - low));
+        if (low >= high) continue;
+        isTouched = true;
+        if (!reads) mark(light, 3 * (low - first), 3 * (high - low));
       }
+      if (!reads || !isTouched) continue;
+      readVertices(reads, this.map.values.subarray(3 * first, 3 * (first + count)), light.array as Float32Array);
+      light.needsUpdate = true;
     }
   }
 }
