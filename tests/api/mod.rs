@@ -47,6 +47,7 @@ mod render;
 mod sample;
 mod scenes;
 mod server;
+mod shared;
 mod shutdown;
 mod skies;
 mod target;

@@ -3,12 +3,14 @@
 use glam::Vec3;
 
 use super::{EXR_WIDTH, ExportError, MeshExport, ObjectExport, write_exr, write_glb, write_object_glb};
+use crate::hash::FastMap;
 use crate::scene::{LightKind, Material};
-use crate::space::Patch;
-use crate::world::World;
+use crate::space::{Patch, Read};
+use crate::world::{Placed, World};
 
 /// The subdivided mesh with `values` (per slot) as float `COLOR_0`. Backs that have elements are triangles of their
-/// own, wound the other way. Vertices are in the order of slots.
+/// own, wound the other way. Vertices are in the order of slots; those of the file that share elements follow, with what
+/// they read ([`write_glb`]).
 ///
 /// # Errors
 /// [`ExportError`]: values that do not fit the world or are not finite, more than the format can hold.
@@ -17,7 +19,9 @@ pub fn lightmap_glb(world: &World, values: &[Vec3]) -> Result<Vec<u8>, ExportErr
         return Err(ExportError::Lists("the light map".to_owned()));
     }
     let pieces: Vec<Piece> = (0..world.placed.len()).map(|index| Piece::new(world, index)).collect();
-    let meshes: Vec<MeshExport> = pieces.iter().map(|p| p.export(world, values)).collect();
+    let mut mixed: Vec<Mixed> = pieces.iter().map(|_| Mixed::default()).collect();
+    let meshes: Vec<MeshExport> =
+        pieces.iter().zip(&mut mixed).map(|(piece, mixed)| piece.export(world, values, mixed)).collect();
     write_glb(&meshes, world.scene.origin)
 }
 
@@ -31,11 +35,11 @@ pub fn object_glb(world: &World, index: usize, values: &[Vec3]) -> Option<Result
     if values.len() != world.slots() {
         return Some(Err(ExportError::Lists("the light map".to_owned())));
     }
-    let piece = Piece::new(world, index);
+    let (piece, mut mixed) = (Piece::new(world, index), Mixed::default());
     Some(write_object_glb(&ObjectExport {
         object,
         lights: &world.scene.lights,
-        elements: piece.export(world, values),
+        elements: piece.export(world, values, &mut mixed),
         origin: world.scene.origin,
         first_element: placed.placement.elements.start,
         with_back: placed.with_back,
@@ -53,8 +57,11 @@ pub fn lightmap_exr(values: &[Vec3]) -> Result<Vec<u8>, ExportError> {
 /// One object's lists that are not stored as they are exported.
 struct Piece {
     index: usize,
+    /// Elements first, those of the front before those of the back.
     positions: Vec<Vec3>,
     normals: Vec<Vec3>,
+    /// Per vertex, where some are no elements.
+    reads: Vec<Read>,
     triangles: Vec<[u32; 3]>,
     triangle_materials: Vec<u32>,
     materials: Vec<Material>,
@@ -64,23 +71,24 @@ struct Piece {
 impl Piece {
     fn new(world: &World, index: usize) -> Piece {
         let (placed, object) = (&world.placed[index], &world.scene.objects[index]);
-        let n = placed.layout.len();
         let cells = placed.layout.of_cells(&placed.surface, |patch| Some(*patch));
         let material = |patch: &Patch| placed.surface.triangle_materials[patch.face as usize];
+        let corners = placed.layout.corners(&placed.surface);
+        let sides = placed.sides().count();
         let mut piece = Piece {
             index,
-            positions: placed.layout.corners(&placed.surface),
+            positions: corners.repeat(sides),
             normals: world.normals().copy(placed.placement.element_indices()),
-            triangles: cells.iter().map(|patch| patch.elements).collect(),
-            triangle_materials: cells.iter().map(material).collect(),
+            reads: Vec::new(),
+            triangles: Vec::new(),
+            triangle_materials: cells.iter().map(material).collect::<Vec<_>>().repeat(sides),
             materials: object.materials.clone(),
             opacities: (0..object.materials.len()).map(|material| object.mean_opacity(material)).collect(),
         };
+        for is_back in [false, true].into_iter().take(sides) {
+            piece.add_cells(placed, &cells, is_back);
+        }
         if placed.with_back {
-            piece.positions.extend_from_within(..);
-            let back = |[a, b, c]: [u32; 3]| [a, c, b].map(|element| element + n as u32);
-            piece.triangles.extend(cells.iter().map(|patch| back(patch.elements)));
-            piece.triangle_materials.extend_from_within(..);
             // Both copies drawn from either side would show one side's light on the other.
             piece.materials.iter_mut().for_each(|material| material.double_sided = false);
         }
@@ -96,17 +104,63 @@ impl Piece {
         piece
     }
 
-    fn export<'a>(&'a self, world: &'a World, values: &'a [Vec3]) -> MeshExport<'a> {
-        let range = world.placed[self.index].placement.element_indices();
+    /// The triangles of one side. Corners that are no elements become vertices of their own.
+    fn add_cells(&mut self, placed: &Placed, cells: &[Patch], is_back: bool) {
+        let first = if is_back { placed.layout.len() as u32 } else { 0 };
+        let mut known: FastMap<([u32; 3], [u32; 3]), u32> = FastMap::default();
+        for patch in cells {
+            let reads = placed.layout.reads_of(patch);
+            let [a, b, c] = [0, 1, 2].map(|k| {
+                let (read, at) = (reads[k].after(first), patch.corners[k]);
+                if read.is_one() && self.positions[read.elements[0] as usize] == at {
+                    return read.elements[0];
+                }
+                *known.entry((at.to_array().map(f32::to_bits), read.elements)).or_insert_with(|| {
+                    let normal = placed.surface.normals[placed.surface.triangles[patch.face as usize][k] as usize];
+                    self.add_vertex(at, if is_back { -normal } else { normal }, read)
+                })
+            });
+            self.triangles.push(if is_back { [a, c, b] } else { [a, b, c] });
+        }
+    }
+
+    fn add_vertex(&mut self, at: Vec3, normal: Vec3, read: Read) -> u32 {
+        let there = self.positions.len() as u32;
+        if self.reads.is_empty() {
+            self.reads = (0..there).map(Read::own).collect();
+        }
+        self.positions.push(at);
+        self.normals.push(normal);
+        self.reads.push(read);
+        there
+    }
+
+    fn export<'a>(&'a self, world: &'a World, values: &'a [Vec3], mixed: &'a mut Mixed) -> MeshExport<'a> {
+        let values = &values[world.placed[self.index].placement.element_indices()];
+        if !self.reads.is_empty() {
+            mixed.colors = self.reads.iter().map(|read| read.of(values)).collect();
+            mixed.elements =
+                self.reads.iter().map(|read| Vec3::from(read.elements.map(|element| element as f32))).collect();
+            mixed.weights = self.reads.iter().map(|read| Vec3::from(read.weights)).collect();
+        }
         MeshExport {
             name: &world.scene.objects[self.index].name,
             positions: &self.positions,
             normals: &self.normals,
-            colors: &values[range],
+            colors: if self.reads.is_empty() { values } else { &mixed.colors },
+            reads: (&mixed.elements, &mixed.weights),
             triangles: &self.triangles,
             triangle_materials: &self.triangle_materials,
             materials: &self.materials,
             opacities: &self.opacities,
         }
     }
+}
+
+/// What is made for an export alone, per vertex: light, elements and weights. Empty where every vertex is an element.
+#[derive(Default)]
+struct Mixed {
+    colors: Vec<Vec3>,
+    elements: Vec<Vec3>,
+    weights: Vec<Vec3>,
 }

@@ -118,6 +118,7 @@ mod tests {
     use super::*;
     use crate::edit::Edit;
     use crate::scene::{AlphaUse, Material, Mesh, Scene, Texture, TextureUse, Wrap};
+    use crate::space::Distances;
     use crate::world::{World, WorldOptions};
 
     /// A square of a metre whose texture is black on the left and white on the right, and transparent on top.
@@ -139,7 +140,7 @@ mod tests {
 
     fn laid(object: &Object) -> (Vec<Vec3>, Vec<Vec3>) {
         let surface = Surface::build(object, DMat4::IDENTITY).expect("a square");
-        let (layout, elements) = Layout::new(&surface, 0.05, 10_000).expect("elements");
+        let (layout, elements) = Layout::new(&surface, &Distances::even(0.05), 10_000).expect("elements");
         let albedos = Albedos::new(object, &surface, &layout, &elements.areas, 0.95);
         (elements.positions, albedos.by_place.expect("albedos").to_vec())
     }

@@ -7,6 +7,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::reads::Read;
 use crate::surface::Surface;
 
 /// In place of a node: there is none, and the triangle is a cell.
@@ -23,6 +24,8 @@ pub(crate) struct Cells {
     pub(super) nodes: Vec<Node>,
     /// Of all strips; behind the last of a strip comes one more, at its tip.
     pub(super) cuts: Vec<Cut>,
+    /// Per corner of cells, what it reads where some are no elements; empty where every corner is one.
+    pub(super) reads: Vec<Read>,
     /// How many cells there are.
     pub(super) count: u32,
 }
@@ -82,7 +85,7 @@ pub(super) struct Cut {
 pub(crate) struct Location {
     /// The cell.
     pub cell: u32,
-    /// Elements at its corners.
+    /// Elements at its corners, or those that count most there.
     pub elements: [u32; 3],
     /// Barycentric weights, not negative, of sum 1.
     pub weights: [f32; 3],
@@ -95,8 +98,10 @@ pub(crate) struct Patch {
     pub cell: u32,
     /// Triangle of the surface.
     pub face: u32,
-    /// Elements at the corners.
+    /// Elements at the corners. Where some of the surface's corners are none: those that count most, in no order.
     pub elements: [u32; 3],
+    /// What its corners are numbered, elements or not.
+    pub(super) points: [u32; 3],
     /// Counter-clockwise from the front, scene space.
     pub corners: [Vec3; 3],
     node: u32,
@@ -122,6 +127,7 @@ impl Cells {
         self.roots.capacity() * size_of::<Root>()
             + self.nodes.capacity() * size_of::<Node>()
             + self.cuts.capacity() * size_of::<Cut>()
+            + self.reads.capacity() * size_of::<Read>()
     }
 
     /// Gives every element its new number, by old number.
@@ -167,7 +173,11 @@ impl Cells {
             };
             (cell, node) = (self.id_of_child(node, k), divided.child(k));
         }
-        Location { cell, elements, weights: normalized(weights) }
+        if self.reads.is_empty() {
+            return Location { cell, elements, weights: normalized(weights) };
+        }
+        let Read { elements, weights } = self.mix(elements, weights);
+        Location { cell, elements, weights }
     }
 
     /// The cut where the piece of a point begins, its corners and the point's weights among them.
@@ -199,22 +209,31 @@ impl Cells {
     /// A triangle of a surface.
     fn face(&self, surface: &Surface, face: u32) -> Patch {
         let (root, corners) = (&self.roots[face as usize], surface.corners(face as usize));
-        Patch { cell: face, face, elements: root.corners, corners, node: root.node }
+        Patch { cell: face, face, elements: root.corners, points: root.corners, corners, node: root.node }
+    }
+
+    /// A cell with its elements: those that count most where some of its corners are none.
+    fn resolved(&self, mut patch: Patch) -> Patch {
+        if !self.reads.is_empty() {
+            patch.elements = self.mix(patch.points, [1.0 / 3.0; 3]).elements;
+        }
+        patch
     }
 
     /// Pushes the children of a patch that is divided.
     fn divide(&self, patch: &Patch, out: &mut Vec<Patch>) {
         let node = &self.nodes[patch.node as usize];
-        let child = |k: u32, elements, corners| Patch {
+        let child = |k: u32, points, corners| Patch {
             cell: self.id_of_child(patch.node, k),
             face: patch.face,
-            elements,
+            elements: points,
+            points,
             corners,
             node: node.child(k),
         };
         match node.kind {
             Kind::Four | Kind::Halves => {
-                let ([a, b, c], [m, n, o]) = (patch.elements, node.points);
+                let ([a, b, c], [m, n, o]) = (patch.points, node.points);
                 let [x, y, z] = patch.corners;
                 let [f, g, h] = node.fractions;
                 let (xy, yz, zx) = (x.lerp(y, f), y.lerp(z, g), z.lerp(x, h));
@@ -226,7 +245,7 @@ impl Cells {
                 ]);
             }
             Kind::Two(turn) => {
-                let ([a, b, c], m) = (turned(patch.elements, turn), node.points[0]);
+                let ([a, b, c], m) = (turned(patch.points, turn), node.points[0]);
                 let [x, y, z] = turned(patch.corners, turn);
                 let xy = x.lerp(y, node.fractions[0]);
                 out.extend([child(0, [a, m, c], [x, xy, z]), child(1, [m, b, c], [xy, y, z])]);
@@ -239,8 +258,9 @@ impl Cells {
                     let (p, q) = (x.lerp(y, cut.s), z.lerp(y, cut.t));
                     let (element, corner) =
                         if next.p != cut.p { (next.p, x.lerp(y, next.s)) } else { (next.q, z.lerp(y, next.t)) };
-                    let (elements, corners) = ([cut.p, element, cut.q], [p, corner, q]);
-                    out.push(Patch { cell: self.id_of_piece(at), face: patch.face, elements, corners, node: cut.node });
+                    let (points, corners) = ([cut.p, element, cut.q], [p, corner, q]);
+                    let cell = self.id_of_piece(at);
+                    out.push(Patch { cell, face: patch.face, elements: points, points, corners, node: cut.node });
                 }
             }
         }
@@ -262,7 +282,11 @@ impl Cells {
                     if !is_wanted(&patch) {
                         continue;
                     }
-                    if patch.node == NONE { found.extend(f(&patch)) } else { self.divide(&patch, &mut stack) }
+                    if patch.node == NONE {
+                        found.extend(f(&self.resolved(patch)));
+                    } else {
+                        self.divide(&patch, &mut stack);
+                    }
                 }
             }
             found

@@ -107,7 +107,7 @@ pub fn object_areas(scene: &Scene) -> Vec<f64> {
 /// The spacing in metres at which `total_area` (m²) has about `elements` squares of that side, rounded to two digits.
 ///
 /// Large flat surfaces get two to three elements per square, since it is the diagonals that must not exceed the
-/// spacing. Meshes finer than this get more: every vertex of the file is an element.
+/// spacing.
 fn default_spacing(total_area: f64, elements: usize) -> f32 {
     let spacing = (total_area / elements.max(1) as f64).sqrt();
     if !(spacing.is_finite() && spacing > 0.0) {

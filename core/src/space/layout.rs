@@ -3,8 +3,10 @@
 use glam::{DMat4, Vec3};
 
 use super::cells::{Cells, NONE, Patch};
+use super::decimate::{Decimated, Fine};
 use super::elements::sample_points;
 use super::neighbours::Neighbours;
+use super::reads::Read;
 use super::sizing::Sizing;
 use super::subdivide::{Subdivided, subdivide};
 use crate::order::{along_curve, in_order};
@@ -58,6 +60,69 @@ fn raise(surface: &Surface, cells: &Cells, positions: &mut [Vec3]) {
     }
 }
 
+/// How far apart elements are to lie.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Distances<'s> {
+    /// m
+    pub spacing: f32,
+    /// In place of the spacing.
+    pub sizing: Option<&'s Sizing>,
+    /// Corners share elements as if these were to lie at most so far apart, m: less than the spacing where what a file has
+    /// finer than that is to be kept.
+    pub shared: f32,
+}
+
+impl Distances<'_> {
+    /// Equally far, m.
+    pub(crate) fn even(spacing: f32) -> Distances<'static> {
+        Distances { spacing, sizing: None, shared: f32::INFINITY }
+    }
+}
+
+/// The corners of all cells of a surface, along a curve.
+struct Arranged {
+    cells: Cells,
+    /// Scene space; per corner.
+    positions: Vec<Vec3>,
+    /// Unit.
+    normals: Vec<Vec3>,
+    /// Which of them are no elements; none where all are.
+    decimated: Option<Decimated>,
+}
+
+impl Arranged {
+    fn new(surface: &Surface, subdivided: Subdivided, distances: &Distances) -> Arranged {
+        let Subdivided { positions, normals, mut cells } = subdivided;
+        let order = along_curve(&positions);
+        let mut number = vec![NONE; positions.len()];
+        order.iter().zip(0..).for_each(|(&old, new)| number[old as usize] = new);
+        cells.renumber(&number);
+        let (positions, normals) = (in_order(&positions, &order), in_order(&normals, &order));
+        let triangles = cells.collect(surface, |_| true, |patch| Some(patch.elements));
+        let fine = Fine { positions: &positions, normals: &normals, triangles: &triangles };
+        let Distances { spacing, sizing, shared } = *distances;
+        let decimated = match sizing {
+            None => fine.decimated(|_| spacing.min(shared), spacing.min(shared)),
+            Some(sizing) => fine.decimated(|point| sizing.at(point).min(shared), sizing.largest().min(shared)),
+        };
+        Arranged { cells, positions, normals, decimated }
+    }
+}
+
+/// All cells, before any share elements.
+fn subdivided(surface: &Surface, distances: &Distances, max_elements: usize) -> Result<Subdivided, SurfaceError> {
+    let spacing = distances.spacing;
+    if distances.sizing.is_none() && !(spacing.is_finite() && spacing > 0.0) {
+        return Err(SurfaceError::Spacing(spacing));
+    }
+    // Elements are numbered with 32 bits.
+    let limit = max_elements.min(u32::MAX as usize);
+    if surface.positions.len() > limit {
+        return Err(SurfaceError::TooManyElements { limit });
+    }
+    subdivide(surface, spacing, distances.sizing, limit)
+}
+
 impl Elements {
     /// These elements after a rigid motion in scene space.
     pub(crate) fn transformed(&self, motion: &DMat4) -> Elements {
@@ -75,60 +140,37 @@ impl Elements {
 }
 
 impl Layout {
-    /// Divides the triangles of a surface until neighbouring elements are about `spacing` metres apart, at most 1.12
-    /// times as much. Deterministic, and edges that two objects share get the same elements in both.
+    /// Divides the triangles of a surface until neighbouring elements are about as far apart as asked for, with one spacing at
+    /// most 1.12 times as much; corners that are closer by far share elements. Deterministic, and edges that two objects
+    /// share get the same elements in both, where none are shared.
     ///
     /// # Errors
     /// [`SurfaceError`]: a spacing that is not usable, or more than `max_elements` elements.
     pub(crate) fn new(
         surface: &Surface,
-        spacing: f32,
+        distances: &Distances,
         max_elements: usize,
     ) -> Result<(Layout, Elements), SurfaceError> {
-        if !(spacing.is_finite() && spacing > 0.0) {
-            return Err(SurfaceError::Spacing(spacing));
-        }
-        Layout::divided(surface, (spacing, None), max_elements)
-    }
-
-    /// Divides the triangles of a surface until neighbouring elements are about as far apart as sizes say there. As
-    /// [`Layout::new`] otherwise.
-    ///
-    /// # Errors
-    /// [`SurfaceError`]: more than `max_elements` elements.
-    pub(crate) fn by_sizes(
-        surface: &Surface,
-        sizing: &Sizing,
-        max_elements: usize,
-    ) -> Result<(Layout, Elements), SurfaceError> {
-        Layout::divided(surface, (f32::INFINITY, Some(sizing)), max_elements)
-    }
-
-    fn divided(
-        surface: &Surface,
-        (spacing, sizing): (f32, Option<&Sizing>),
-        max_elements: usize,
-    ) -> Result<(Layout, Elements), SurfaceError> {
-        // Elements are numbered with 32 bits.
-        let limit = max_elements.min(u32::MAX as usize);
-        if surface.positions.len() > limit {
-            return Err(SurfaceError::TooManyElements { limit });
-        }
-        let Subdivided { positions, normals, mut cells } = subdivide(surface, spacing, sizing, limit)?;
-        let order = along_curve(&positions);
-        let mut number = vec![NONE; positions.len()];
-        order.iter().zip(0..).for_each(|(&old, new)| number[old as usize] = new);
-        cells.renumber(&number);
-        let (corners, normals) = (in_order(&positions, &order), in_order(&normals, &order));
+        let subdivided = subdivided(surface, distances, max_elements)?;
+        let Arranged { mut cells, positions, normals, decimated } = Arranged::new(surface, subdivided, distances);
         // Rounding to f32 may flatten the smallest cells.
-        let has_area = |elements: &[u32; 3]| triangle_area(elements.map(|e| corners[e as usize])) > 0.0;
-        let of_cells = cells.collect(surface, |_| true, |patch| Some(patch.elements));
-        let neighbours = Neighbours::new(corners.len(), &of_cells);
-        let triangles: Vec<[u32; 3]> = of_cells.into_iter().filter(has_area).collect();
-        let mut elements = sample_points(&corners, &normals, &triangles);
+        let has_area = |elements: &[u32; 3]| triangle_area(elements.map(|e| positions[e as usize])) > 0.0;
+        let triangles = cells.collect(surface, |_| true, |patch| Some(patch.elements).filter(has_area));
+        let mut elements = sample_points(&positions, &normals, &triangles);
         raise(surface, &cells, &mut elements.positions);
-        let distances = elements.positions.iter().zip(&corners).map(|(element, corner)| element.distance(*corner));
-        let reach = distances.fold(0.0, f32::max);
+        if let Some(Decimated { reads, placed }) = decimated {
+            for (element, at, normal) in placed {
+                (elements.positions[element as usize], elements.normals[element as usize]) = (at, normal);
+            }
+            elements = cells.share(surface, reads, &elements);
+        }
+        let of_cells = cells.collect(surface, |_| true, |patch| Some(patch.elements));
+        let neighbours = Neighbours::new(elements.positions.len(), &of_cells);
+        let distance = |patch: &Patch| {
+            let at = patch.elements.map(|element| elements.positions[element as usize]);
+            Some((0..3).map(|k| at[k].distance(patch.corners[k])).fold(0.0, f32::max))
+        };
+        let reach = cells.collect(surface, |_| true, distance).into_iter().fold(0.0, f32::max);
         Ok((Layout { cells, neighbours, reach }, elements))
     }
 
@@ -136,9 +178,15 @@ impl Layout {
     ///
     /// # Errors
     /// As it has.
-    pub(crate) fn count(surface: &Surface, spacing: f32, max_elements: usize) -> Result<usize, SurfaceError> {
-        let limit = max_elements.min(u32::MAX as usize);
-        subdivide(surface, spacing, None, limit).map(|subdivided| subdivided.positions.len())
+    pub(crate) fn count(surface: &Surface, distances: &Distances, max_elements: usize) -> Result<usize, SurfaceError> {
+        let subdivided = subdivided(surface, distances, max_elements)?;
+        let Subdivided { positions, normals, cells } = &subdivided;
+        let triangles = cells.collect(surface, |_| true, |patch| Some(patch.elements));
+        let (count, fine) = (positions.len(), Fine { positions, normals, triangles: &triangles });
+        // Which ones are left goes by their order.
+        let is_dense = fine.is_dense(distances.spacing.min(distances.shared));
+        let decimated = is_dense.then(|| Arranged::new(surface, subdivided, distances).decimated).flatten();
+        Ok(decimated.map_or(count, |decimated| decimated.left()))
     }
 
     /// Ids of cells are below this.
@@ -168,10 +216,23 @@ impl Layout {
     /// Where the cells of a surface that is laid out so have their corners, per element; scene space.
     pub(crate) fn corners(&self, surface: &Surface) -> Vec<Vec3> {
         let mut corners = vec![Vec3::ZERO; self.len()];
-        for (elements, at) in self.of_cells(surface, |patch| Some((patch.elements, patch.corners))) {
-            elements.into_iter().zip(at).for_each(|(element, corner)| corners[element as usize] = corner);
+        let cells = self.of_cells(surface, |patch| Some((self.cells.reads_of(patch), patch.corners)));
+        for (read, corner) in cells.into_iter().flat_map(|(reads, at)| reads.into_iter().zip(at)) {
+            if read.is_one() {
+                corners[read.elements[0] as usize] = corner;
+            }
         }
         corners
+    }
+
+    /// What the corners of a cell read.
+    pub(crate) fn reads_of(&self, patch: &Patch) -> [Read; 3] {
+        self.cells.reads_of(patch)
+    }
+
+    /// Whether some of its corners are no elements.
+    pub(crate) fn is_shared(&self) -> bool {
+        !self.cells.reads.is_empty()
     }
 
     /// Elements of one side.

@@ -7,15 +7,18 @@
 
 mod albedo;
 mod cells;
+mod decimate;
 mod density;
 mod elements;
 mod footprint;
 mod holes;
 mod layout;
+mod mesh;
 mod neighbours;
 mod offset;
 mod part;
 mod plan;
+mod reads;
 mod sizing;
 mod slots;
 mod subdivide;
@@ -27,9 +30,10 @@ pub(crate) use cells::Patch;
 pub use density::{Density, object_areas};
 pub use footprint::Footprint;
 pub(crate) use footprint::Spot;
-pub(crate) use layout::{Elements, Layout};
+pub(crate) use layout::{Distances, Elements, Layout};
 pub(crate) use offset::ray_offset;
 pub(crate) use part::Part;
+pub(crate) use reads::Read;
 pub(crate) use sizing::{Cone, Sizing};
 pub use slots::NO_OBJECT;
 pub use slots::Placement;
@@ -47,7 +51,7 @@ use crate::surface::Surface;
 
 /// How surfaces are divided into elements: raised whenever the same scene is divided in another way, so that light maps
 /// that were kept are never read for elements that they are not of.
-pub const LAYOUT_VERSION: u32 = 1;
+pub const LAYOUT_VERSION: u32 = 2;
 
 /// All elements of a world and the way from triangles to them. Cheap to clone: an edit copies what it changes.
 #[derive(Clone, Debug, Default)]
@@ -177,6 +181,11 @@ impl Space {
     #[inline]
     pub(crate) fn part(&self, triangle: u32) -> &Part {
         &self.parts.list[self.part_index(triangle) as usize]
+    }
+
+    /// Whether triangles of an object that a ray met share elements.
+    pub(crate) fn is_shared(&self, triangle: u32) -> bool {
+        self.part(triangle).layout.is_shared()
     }
 
     /// Where a ray met one side of a triangle, which is of `part`.

@@ -35,7 +35,8 @@ impl Neighbours {
             let others = &mut full[from..end as usize];
             others.sort_unstable();
             let mut last = None;
-            list.extend(others.iter().copied().filter(|&other| last.replace(other) != Some(other)));
+            let is_new = |&other: &u32| other as usize != starts.len() - 1 && last.replace(other) != Some(other);
+            list.extend(others.iter().copied().filter(is_new));
             from = end as usize;
         }
         starts.push(list.len() as u32);
@@ -67,6 +68,6 @@ mod tests {
     fn neighbours_share_a_triangle() {
         let neighbours = Neighbours::new(6, &[[0, 1, 2], [2, 1, 3], [4, 4, 0]]);
         let lists: Vec<&[u32]> = (0..6).map(|element| neighbours.of(element)).collect();
-        assert_eq!(lists, [&[1, 2, 4][..], &[0, 2, 3], &[0, 1, 3], &[1, 2], &[0, 4], &[]]);
+        assert_eq!(lists, [&[1, 2, 4][..], &[0, 2, 3], &[0, 1, 3], &[1, 2], &[0], &[]]);
     }
 }

@@ -101,6 +101,11 @@ impl Sizing {
         self.bounds.0
     }
 
+    /// m, no size is above.
+    pub(super) fn largest(&self) -> f32 {
+        self.bounds.1
+    }
+
     /// The size at a point, m.
     pub(crate) fn at(&self, point: Vec3) -> f32 {
         let mut size = self.bounds.1;

@@ -4,7 +4,7 @@ use glam::Vec3;
 
 use crate::bvh::{Hit, Ray};
 use crate::space::{Footprint, Part, Spot, ray_offset};
-use crate::world::World;
+use crate::world::{World, over_bulge};
 
 /// A reflecting point that a ray met, seen from the side of the ray.
 #[derive(Clone, Copy, Debug)]
@@ -77,13 +77,13 @@ impl Surfel {
     pub(crate) fn to_look_up(world: &World, ray: &Ray, hit: &Hit, rays: &mut u64) -> Option<Surfel> {
         let mut surfel = Surfel::new(world, ray, hit)?;
         if world.space.is_cut(surfel.cell) {
-            surfel.leave_out_hidden(world, rays);
+            surfel.leave_out_hidden(world, world.space.is_shared(hit.triangle), rays);
         }
         Some(surfel)
     }
 
     #[cold]
-    fn leave_out_hidden(&mut self, world: &World, rays: &mut u64) {
+    fn leave_out_hidden(&mut self, world: &World, is_shared: bool, rays: &mut u64) {
         let above = self.normal * world.lift(self.position);
         let from = self.position + above;
         // Values that elements have from neighbours are those of one side, and maybe not of this.
@@ -93,8 +93,16 @@ impl Surfel {
             }
             let to = world.positions()[slot as usize] + above;
             *rays += 1;
-            let ray = Ray { origin: from, direction: to - from, t_min: 0.0, t_max: 0.98 };
-            from != to && world.trees.any_hiding(&ray)
+            let is_hidden = |from: Vec3, to: Vec3| {
+                let ray = Ray { origin: from, direction: to - from, t_min: 0.0, t_max: 0.98 };
+                from != to && world.trees.any_hiding(&ray)
+            };
+            if !is_shared {
+                return is_hidden(from, to);
+            }
+            let middle = over_bulge((from, self.normal), (to, world.normals()[slot as usize]));
+            *rays += 1;
+            is_hidden(from, middle) || is_hidden(to, middle)
         };
         self.footprint = self.footprint.and_then(|footprint| footprint.without(is_out));
     }

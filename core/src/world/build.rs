@@ -14,11 +14,14 @@ use super::{Coarse, Emitters, Placed, Resolution, Trees, Validity, World, WorldE
 use crate::allowed::check_spacing;
 use crate::bvh::{BuildQuality, Bvh};
 use crate::scene::{Object, Scene};
-use crate::space::{Albedos, Density, Elements, Layout, Part, Space, object_areas};
+use crate::space::{Albedos, Density, Distances, Elements, Layout, Part, Space, object_areas};
 use crate::surface::{Facet, Facets, SeeThrough, Surface, facet_area, object_area};
 
 /// Edge of the cells that smooth light is evaluated in, in units of [`Resolution::smooth`].
 pub(crate) const COARSE_RADIUS: f32 = 2.5;
+
+/// As many elements as asked for, and so much more, are what was asked for.
+const ROUGHLY: f64 = 1.1;
 
 pub(super) fn build(mut scene: Scene, options: &WorldOptions) -> Result<World, WorldError> {
     let areas = object_areas(&scene);
@@ -108,6 +111,16 @@ fn density_of(options: &WorldOptions, scene: &Scene, areas: &[f64]) -> Result<De
     }
 }
 
+impl Resolution {
+    /// How far apart elements lie on an object of `area` m². Where a spacing is given it is the largest, and what a file has
+    /// is kept as fine as it would be without.
+    pub(super) fn distances(&self, area: f64, options: &WorldOptions) -> Distances<'static> {
+        let spacing = self.density.of_object(area);
+        let kept = self.smooth * spacing / self.density.spacing;
+        Distances { shared: if options.spacing.is_some() { kept } else { f32::INFINITY }, ..Distances::even(spacing) }
+    }
+}
+
 /// Says on which objects elements lie farther apart than elsewhere.
 fn warn_where_coarse(scene: &mut Scene, areas: &[f64], density: Density) {
     let coarse = |(object, area): (&Arc<Object>, &f64)| {
@@ -122,13 +135,12 @@ fn warn_where_coarse(scene: &mut Scene, areas: &[f64], density: Density) {
     }
 }
 
-/// Says where a file has more vertices than elements are asked for.
+/// Says where there are more elements than asked for: each piece of surface has some.
 fn warn_where_more(world: &mut World) {
-    let vertices = |placed: &Arc<Placed>| placed.sides().count() * placed.surface.positions.len();
-    let least: usize = world.placed.iter().map(vertices).sum();
-    if let Some(asked) = world.options.elements.filter(|asked| *asked < least) {
+    let count = world.element_count();
+    if let Some(asked) = world.options.elements.filter(|asked| count as f64 > ROUGHLY * *asked as f64) {
         let warning =
-            format!("the vertices of the file are {least} elements, and there cannot be fewer: {asked} were asked for");
+            format!("there are {count} elements, since the file's surfaces need so many: {asked} were asked for");
         Arc::make_mut(&mut world.scene).warnings.push(warning);
     }
 }
@@ -170,11 +182,8 @@ impl Shape {
         let error = |source| WorldError::Surface { object: object.name.clone(), source };
         let spacing = resolution.density.of_object(object_area(object));
         let sizing = resolution.sizing.as_deref().filter(|_| !object.is_inserted);
-        let (layout, elements) = match sizing {
-            None => Layout::new(&surface, spacing, options.max_elements),
-            Some(sizing) => Layout::by_sizes(&surface, sizing, options.max_elements),
-        }
-        .map_err(error)?;
+        let distances = Distances { sizing, ..resolution.distances(object_area(object), options) };
+        let (layout, elements) = Layout::new(&surface, &distances, options.max_elements).map_err(error)?;
         let Elements { positions, normals, areas } = &elements;
         let albedos = Albedos::new(object, &surface, &layout, areas, options.max_albedo);
         let coarser = spacing / resolution.density.spacing;

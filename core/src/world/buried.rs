@@ -116,7 +116,8 @@ pub(super) fn behind_surfaces(world: &World, placed: &Placed, touched: Touched) 
     };
     let cut = of_touched_cells(placed, boxes, |patch| {
         let is_wanted = || is_cut(patch) && corners(patch).flatten().any(is_asked);
-        is_wanted().then(|| corners(patch).flat_map(|corners| seen_of_cell(world, corners)).collect::<Vec<_>>())
+        let seen = |corners| seen_of_cell(world, corners, placed.layout.is_shared());
+        is_wanted().then(|| corners(patch).flat_map(seen).collect::<Vec<_>>())
     });
     let mut sights: BTreeMap<u32, Sight> = BTreeMap::new();
     let is_outside = |slot: u32| world.is_valid(slot as usize) || was_behind(slot);
@@ -173,9 +174,13 @@ fn asked(world: &World, placed: &Placed, touched: Touched) -> Option<Asked> {
 }
 
 /// What each corner of a cell sees of it: as far as it sees along both edges.
-fn seen_of_cell(world: &World, corners: [u32; 3]) -> [(u32, f32); 3] {
+fn seen_of_cell(world: &World, corners: [u32; 3], is_shared: bool) -> [(u32, f32); 3] {
+    let free_part = |from: u32, to: u32| match is_shared && !world.blocked_over(from, to) {
+        true => 1.0,
+        false => world.free_part(from, to),
+    };
     [0, 1, 2].map(|k| {
         let [corner, next, last] = [0, 1, 2].map(|step| corners[(k + step) % 3]);
-        (corner, world.free_part(corner, next) * world.free_part(corner, last))
+        (corner, free_part(corner, next) * free_part(corner, last))
     })
 }

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::build::laid_out;
 use super::options::Spread;
-use super::sized::{COARSE, Wanted, vertices_of};
+use super::sized::{COARSE, Wanted, fixed_of};
 use super::{Placed, Resolution, World, WorldError, WorldOptions};
 use crate::scene::{Object, Scene};
 use crate::space::{Density, Layout};
@@ -15,7 +15,7 @@ use crate::surface::object_area;
 /// Sizes by light leave elements at most this many spacings apart.
 const COARSEST: f32 = 2.5;
 
-/// Elements beside the file's vertices where they are never farther apart than a spacing, as a multiple of those that are
+/// Elements beside those that are fixed where they are never farther apart than a spacing, as a multiple of those that are
 /// a spacing apart.
 const MORE: f64 = 1.5;
 
@@ -37,28 +37,33 @@ pub(super) fn laid_out_by_light(
         Spread::ByLightWithin => (spacing, MORE),
         Spread::ByLight | Spread::Uniform => (COARSEST * spacing, 1.0),
     };
-    let even = even_count(&world, &scene, resolution.density, options)?;
-    let Some(wanted) = Wanted::new(&world, spacing, largest) else {
+    let even = even_count(&world, &scene, &resolution, options)?;
+    let fixed = fixed_of(world.element_count(), even);
+    let Some(wanted) = Wanted::new(&world, fixed, spacing, largest) else {
         return laid_out(scene, resolution, options, None);
     };
-    let vertices = vertices_of(&world);
-    let goal = more * even.saturating_sub(vertices) as f64;
+    let goal = more * even.saturating_sub(fixed) as f64;
     let mut by_light = |aim: f64| {
         let sizing = Some(Arc::new(wanted.sizing(aim)));
         world = laid_out(scene.clone(), Resolution { sizing, ..resolution.clone() }, options, Some(&world))?;
-        Ok::<_, WorldError>((world.clone(), (world.element_count() - vertices) as f64))
+        Ok::<_, WorldError>((world.clone(), world.element_count().saturating_sub(fixed) as f64))
     };
     let (first, count) = by_light(goal)?;
-    let is_near = (count - goal).abs() <= NEAR * (goal + vertices as f64);
+    let is_near = (count - goal).abs() <= NEAR * (goal + fixed as f64);
     Ok(if is_near { first } else { by_light(goal * goal / count.max(1.0))?.0 })
 }
 
 /// Elements that the objects of a world would have at one density.
-fn even_count(world: &World, scene: &Scene, density: Density, options: &WorldOptions) -> Result<usize, WorldError> {
+fn even_count(
+    world: &World,
+    scene: &Scene,
+    resolution: &Resolution,
+    options: &WorldOptions,
+) -> Result<usize, WorldError> {
     let count = |(placed, object): (&Arc<Placed>, &Arc<Object>)| {
         let error = |source| WorldError::Surface { object: object.name.clone(), source };
-        let spacing = density.of_object(object_area(object));
-        let count = Layout::count(&placed.surface, spacing, options.max_elements).map_err(error)?;
+        let distances = resolution.distances(object_area(object), options);
+        let count = Layout::count(&placed.surface, &distances, options.max_elements).map_err(error)?;
         Ok(count * placed.sides().count())
     };
     let counts: Vec<usize> =

@@ -6,7 +6,7 @@ use super::World;
 use super::build::scene_from_object;
 use super::options::{WorldError, WorldOptions};
 use crate::scene::Scene;
-use crate::space::{Density, Layout, object_areas};
+use crate::space::{Density, Distances, Layout, object_areas};
 use crate::surface::Surface;
 
 /// So much of what is asked for is near enough.
@@ -22,6 +22,9 @@ const TRIES: usize = 24;
 const STEP: f64 = 2.0;
 const FAR: f64 = 8.0;
 
+/// A factor on the spacing beyond which there are no fewer elements.
+const COARSEST: f64 = 1e3;
+
 /// Spacings this near to each other are not told apart.
 const SAME: f64 = 1.002;
 
@@ -29,7 +32,7 @@ const SAME: f64 = 1.002;
 const ELEMENTS_TO_LOOK: usize = 20_000;
 
 impl Density {
-    /// The density at which a scene has nearly `elements` elements, and no more unless the vertices of its file are more.
+    /// The density at which a scene has nearly `elements` elements, and no more unless its pieces of surface are more.
     /// A ground is coarser than what stands on it as far as it is at the density that is chosen where nobody asks. The
     /// same on any number of threads.
     ///
@@ -82,7 +85,7 @@ struct Counted<'s> {
 
 /// The density whose elements are nearest below what is asked for.
 fn nearest(chosen: Density, objects: &[Counted], elements: usize) -> Density {
-    let least: usize = objects.iter().map(|object| object.sides * object.surface.positions.len()).sum();
+    let least = count(scaled(chosen, COARSEST), objects, usize::MAX).unwrap_or_default();
     let most = elements.max(least);
     let (mut scale, mut fine, mut coarse) = (1.0, None::<f64>, None::<f64>);
     for _ in 0..TRIES {
@@ -94,7 +97,7 @@ fn nearest(chosen: Density, objects: &[Counted], elements: usize) -> Density {
         if count.is_some_and(|count| count as f64 >= NEAR * most as f64 && most > least) {
             break;
         }
-        // Beside vertices, elements are as many as there are squares of the spacing.
+        // Beside the least that there can be, elements are as many as there are squares of the spacing.
         let squares = |count: f64| (count - least as f64).max(0.0);
         let aim = squares(AIM * most as f64);
         let by = match count {
@@ -131,7 +134,7 @@ fn rounded(x: f64, digits: i32) -> f64 {
 /// Elements that objects have at a density; none where these are more than `most`.
 fn count(density: Density, objects: &[Counted], most: usize) -> Option<usize> {
     let of_object = |object: &Counted| {
-        let count = Layout::count(object.surface, density.of_object(object.area), most).ok()?;
+        let count = Layout::count(object.surface, &Distances::even(density.of_object(object.area)), most).ok()?;
         Some(count * object.sides)
     };
     let counts: Option<Vec<usize>> = objects.par_iter().map(of_object).collect();
@@ -187,14 +190,12 @@ mod tests {
     }
 
     #[test]
-    fn the_vertices_of_a_file_are_elements_whatever_is_asked_for() {
+    fn every_piece_of_surface_has_an_element_whatever_is_asked_for() {
         let world = world(0.0, 10);
-        let corners = 24 + 24 + 8;
-        assert_eq!(world.element_count(), corners);
+        // Of the walls, of the box, and of both sides of the cloth, which has too few vertices to share.
+        assert_eq!(world.element_count(), 6 + 6 + 8);
         let told = &world.scene.warnings[0];
-        assert!(told.contains("56 elements") && told.contains("10 were asked for"), "{told}");
-        // The least spacing that makes no more of them, not the largest there is.
-        assert!((1.0..8.0).contains(&world.spacing()), "{}", world.spacing());
+        assert!(told.contains("20 elements") && told.contains("10 were asked for"), "{told}");
     }
 
     #[test]

@@ -45,7 +45,7 @@ pub(crate) use choice::WEIGHED;
 pub(crate) use coarse::Coarse;
 pub use emitters::{Emitter, LightSample};
 pub(crate) use emitters::{Emitters, Shape, sky};
-pub(crate) use sight::Hidden;
+pub(crate) use sight::{Hidden, over_bulge};
 pub use validity::Validity;
 
 use std::collections::BTreeMap;

@@ -9,8 +9,8 @@ use crate::surface::SurfaceError;
 pub struct WorldOptions {
     /// Largest distance between neighbouring elements, metres; chosen from the scene's size where absent.
     pub spacing: Option<f32>,
-    /// How many elements there are to be, where there is no `spacing`: nearly so many, and no more unless the file has
-    /// more vertices ([`Density::of_elements`](crate::Density::of_elements)). The scene then has a warning.
+    /// How many elements there are to be, where there is no `spacing`: nearly so many, and no more unless it has more
+    /// pieces of surface ([`Density::of_elements`](crate::Density::of_elements)). The scene then has a warning.
     pub elements: Option<usize>,
     /// Most squares of its spacing that one object has ([`Density`](crate::Density)). Where absent it is chosen with
     /// the spacing, and there is no such bound on one that is given.

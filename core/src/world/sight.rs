@@ -121,10 +121,24 @@ impl World {
         touched.is_none_or(|boxes| boxes.iter().any(|b| overlap(b, &grown)))
     }
 
+    /// Whether two elements that do not lie on one plane see each other, over what bulges between them.
+    pub(super) fn blocked_over(&self, a: u32, b: u32) -> bool {
+        let [from, to] = [a, b].map(|slot| (self.above(slot), self.normals()[slot as usize]));
+        let middle = over_bulge(from, to);
+        self.blocked(from.0, middle) || self.blocked(middle, to.0)
+    }
+
     fn blocked(&self, from: Vec3, to: Vec3) -> bool {
         let ray = Ray { origin: from, direction: to - from, t_min: ENDS, t_max: 1.0 - ENDS };
         from != to && self.trees.any_hiding(&ray)
     }
+}
+
+/// Half way between two points of a surface that may be round, given with their unit normals: on a circle, where their
+/// tangents meet.
+pub(crate) fn over_bulge(from: (Vec3, Vec3), to: (Vec3, Vec3)) -> Vec3 {
+    let bulge = 0.25 * (to.0 - from.0).dot(to.1 - from.1);
+    from.0.midpoint(to.0) + (from.1 + to.1).normalize_or_zero() * bulge.max(0.0)
 }
 
 /// Whether geometry has changed about the way between two points.
@@ -181,10 +195,14 @@ fn hidden_entries(world: &World, placed: &Placed, touched: Touched, old: Option<
 fn cut_cells(world: &World, placed: &Placed, touched: Touched) -> Vec<(u32, bool)> {
     let positions = world.positions();
     let n = placed.layout.len() as u32;
-    let cut_on = |slots: [u32; 3]| {
+    let cut_on = |slots: [u32; 3], is_shared: bool| {
         let valid = slots.map(|slot| world.validity.is_valid(slot as usize));
         let above = slots.map(|slot| world.above(slot));
-        valid != [true; 3] || (0..3).any(|k| world.blocked(above[k], above[(k + 1) % 3]))
+        let is_blocked = |k: usize, next: usize| match is_shared {
+            true => world.blocked_over(slots[k], slots[next]),
+            false => world.blocked(above[k], above[next]),
+        };
+        valid != [true; 3] || (0..3).any(|k| is_blocked(k, (k + 1) % 3))
     };
     of_touched_cells(placed, touched, |patch| {
         let slots = patch.elements.map(|element| placed.placement.elements.start + element);
@@ -192,7 +210,8 @@ fn cut_cells(world: &World, placed: &Placed, touched: Touched) -> Vec<(u32, bool
         if !(is_touched(touched, a, b) || is_touched(touched, b, c) || is_touched(touched, c, a)) {
             return None;
         }
-        let cut = cut_on(slots) || placed.with_back && cut_on(slots.map(|slot| slot + n));
+        let is_shared = placed.layout.is_shared();
+        let cut = cut_on(slots, is_shared) || placed.with_back && cut_on(slots.map(|slot| slot + n), is_shared);
         Some((placed.placement.cells.start + patch.cell, cut))
     })
 }

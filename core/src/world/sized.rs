@@ -160,19 +160,33 @@ impl Eye<'_> {
     }
 }
 
-/// The cells of both sides of an object that have an edge of more than `least` m.
+/// The cells of both sides of an object that have an edge of more than `least` m. Those of the same elements are one.
 fn cells_of(placed: &Placed, least: f32) -> Vec<Cell> {
+    let is_shared = placed.layout.is_shared();
+    let edge = |area: f32| (area * (4.0 / 3.0_f32.sqrt())).sqrt();
     let of_patch = |patch: &Patch| {
         let [a, b, c] = patch.corners;
         let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
         let area = triangle_area(patch.corners) as f32;
-        (longest > least && area > 0.0).then_some((patch.elements, area, patch.cell == patch.face))
+        let is_wanted = area > 0.0 && (longest > least || is_shared);
+        is_wanted.then_some((patch.elements, area, patch.cell == patch.face))
     };
-    let cells = placed.layout.of_cells(&placed.surface, of_patch);
+    let mut cells = placed.layout.of_cells(&placed.surface, of_patch);
+    if is_shared {
+        cells.iter_mut().for_each(|(elements, ..)| elements.sort_unstable());
+        cells.sort_unstable_by_key(|&(elements, ..)| elements);
+        let one = |same: &[([u32; 3], f32, bool)]| {
+            let area = same.iter().map(|(_, area, _)| area).sum();
+            (same[0].0, area, same.len() == 1 && same[0].2)
+        };
+        cells = cells.chunk_by(|a, b| a.0 == b.0).map(one).filter(|&(_, area, _)| edge(area) > least).collect();
+    }
     let of_side = |first: u32| {
-        cells.iter().map(move |&(elements, area, is_whole)| {
-            let edge = (area * (4.0 / 3.0_f32.sqrt())).sqrt();
-            Cell { slots: elements.map(|element| first + element), edge, area, is_whole }
+        cells.iter().map(move |&(elements, area, is_whole)| Cell {
+            slots: elements.map(|element| first + element),
+            edge: edge(area),
+            area,
+            is_whole,
         })
     };
     placed.sides().flat_map(|side| of_side(side.start)).collect()
@@ -191,8 +205,9 @@ pub(super) struct Wanted {
 
 impl Wanted {
     /// What is wanted where elements would lie `spacing` m apart otherwise, and are to lie at most `largest` m apart.
-    /// `world` has elements [`COARSE`] spacings apart. None where there is no light.
-    pub(super) fn new(world: &World, spacing: f32, largest: f32) -> Option<Wanted> {
+    /// `world` has elements [`COARSE`] spacings apart, of which `fixed` are there whatever the spacing. None where there is
+    /// no light.
+    pub(super) fn new(world: &World, fixed: usize, spacing: f32, largest: f32) -> Option<Wanted> {
         let bounds = (FINEST * spacing, largest);
         let looks = Eye::new(world).looks(bounds.0);
         let sum = |of: &dyn Fn(&Look) -> f32| looks.iter().map(|look| f64::from(look.area * of(look))).sum::<f64>();
@@ -208,12 +223,12 @@ impl Wanted {
         };
         let sizes = looks.iter().map(size).collect();
         let coarse = f64::from(COARSE * spacing);
-        let beside = world.element_count().saturating_sub(vertices_of(world)) as f64;
+        let beside = world.element_count().saturating_sub(fixed) as f64;
         let per_square = (beside * coarse * coarse / area).max(1.0);
         Some(Wanted { looks, sizes, bounds, per_square })
     }
 
-    /// Elements beside the file's vertices that sizes make.
+    /// Elements that sizes make, beside those that are fixed.
     fn count(&self, sizing: &Sizing) -> f64 {
         let step = self.looks.len().div_ceil(COUNTED).max(1);
         let squares = |look: &Look| {
@@ -231,7 +246,7 @@ impl Wanted {
         Sizing::new(&cones, self.bounds)
     }
 
-    /// Sizes by which there are so many elements beside the file's vertices, as far as cells tell.
+    /// Sizes by which there are so many elements beside those that are fixed, as far as cells tell.
     pub(super) fn sizing(&self, elements: f64) -> Sizing {
         let mut factor = 0.5;
         let mut sizing = self.with_factor(factor);
@@ -247,9 +262,11 @@ impl Wanted {
     }
 }
 
-/// Elements that are vertices of the file.
-pub(super) fn vertices_of(world: &World) -> usize {
-    world.placed.iter().map(|placed| placed.sides().count() * placed.surface.positions.len()).sum()
+/// Of `coarse` elements that lie [`COARSE`] times as far apart as `even` ones do: those that are there whatever the distance,
+/// where all others go with the square of it.
+pub(super) fn fixed_of(coarse: usize, even: usize) -> usize {
+    let ratio = f64::from(COARSE).powi(2);
+    ((ratio * coarse as f64 - even as f64) / (ratio - 1.0)).clamp(0.0, coarse as f64) as usize
 }
 
 #[cfg(test)]

@@ -35,7 +35,7 @@ pub(super) struct CreateQuery {
     #[param(example = 0.1)]
     spacing: Option<f32>,
     /// How many elements the light map is to have, in place of `spacing`: the spacing is chosen so that there are nearly as
-    /// many, and no more. Where the vertices of the file are more already, it has those, with a warning.
+    /// many, and no more. Every piece of surface has an element; where that makes more, there is a warning.
     #[param(example = 50_000, minimum = 1)]
     elements: Option<usize>,
     /// How elements are spread. `uniform`, the default: equally far apart. `light`: closer together (down to a fifth) where a

@@ -31,6 +31,9 @@ pub struct MeshExport<'a> {
     pub normals: &'a [Vec3],
     /// Light map values per vertex, linear RGB; written as they are, whatever their range.
     pub colors: &'a [Vec3],
+    /// Per vertex: three elements whose light it has, by number within the object, and their weights, of sum 1. Empty where
+    /// every vertex is an element.
+    pub reads: (&'a [Vec3], &'a [Vec3]),
     /// Vertex indices.
     pub triangles: &'a [[u32; 3]],
     /// Per triangle: index into `materials`.
@@ -43,6 +46,9 @@ pub struct MeshExport<'a> {
 
 /// Writes meshes with their light map as float `COLOR_0`: shown without further light, `baseColorFactor × COLOR_0`
 /// is the outgoing radiance. One node and mesh per object; objects without triangles are left out.
+///
+/// Vertices beyond the elements have means over the light of several: `_ELEMENTS` and `_WEIGHTS`, of every vertex of such
+/// an object.
 ///
 /// `origin` (world space, metres) is the zero of the positions' space. It becomes the translation of the nodes, so
 /// that the vertices of a scene far from the world's zero keep their precision.
@@ -64,11 +70,17 @@ pub fn write_glb(meshes: &[MeshExport<'_>], origin: DVec3) -> Result<Vec<u8>, Ex
 /// Adds a mesh with its light map as float `COLOR_0`.
 fn add_light_mesh(document: &mut Document, mesh: &MeshExport<'_>) -> Result<Value, ExportError> {
     check(mesh)?;
-    let attributes = object([
+    let mut attributes = vec![
         ("POSITION", document.add_vec3(mesh.positions, true)),
         ("NORMAL", document.add_vec3(mesh.normals, false)),
         ("COLOR_0", document.add_vec3(mesh.colors, false)),
-    ]);
+    ];
+    let (elements, weights) = mesh.reads;
+    if !elements.is_empty() {
+        attributes.push(("_ELEMENTS", document.add_vec3(elements, false)));
+        attributes.push(("_WEIGHTS", document.add_vec3(weights, false)));
+    }
+    let attributes = object(attributes);
     let mut by_material: BTreeMap<u32, Vec<[u32; 3]>> = BTreeMap::new();
     for (triangle, &material) in mesh.triangles.iter().zip(mesh.triangle_materials) {
         by_material.entry(material).or_default().push(*triangle);
@@ -92,6 +104,7 @@ fn check(mesh: &MeshExport<'_>) -> Result<(), ExportError> {
     let count = mesh.positions.len();
     let fits = mesh.normals.len() == count
         && mesh.colors.len() == count
+        && [mesh.reads.0, mesh.reads.1].iter().all(|reads| reads.is_empty() || reads.len() == count)
         && mesh.triangle_materials.len() == mesh.triangles.len()
         && mesh.triangles.iter().flatten().all(|&corner| (corner as usize) < count)
         && mesh.triangle_materials.iter().all(|&material| (material as usize) < mesh.materials.len());

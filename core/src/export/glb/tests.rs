@@ -162,6 +162,7 @@ fn export<'a>(mesh: &'a Mesh, colors: &'a [Vec3], materials: &'a [Material]) -> 
         positions: &mesh.positions,
         normals: &mesh.normals,
         colors,
+        reads: (&[], &[]),
         triangles: &mesh.triangles,
         triangle_materials: &mesh.triangle_materials,
         materials,

@@ -174,9 +174,10 @@ impl Drawn<'_> {
             }
             let Some((_, face)) = &last else { continue };
             let corners = surface.corners(patch.face as usize);
+            let reads = self.placed.layout.reads_of(patch);
             for side in 0..sides {
                 let corner = |k: usize| {
-                    let light = values[side * elements + patch.elements[k] as usize];
+                    let light = reads[k].of(&values[side * elements..]);
                     let vertex = vertex(face, weights(patch, k, corners), place(patch.corners[k]), light);
                     // The specification has colours end at 1.
                     let color = if is_shown { vertex.color.clamp(Vec4::ZERO, Vec4::ONE) } else { vertex.color };
