@@ -54,6 +54,9 @@ pub fn lightmap_exr(values: &[Vec3]) -> Result<Vec<u8>, ExportError> {
     write_exr(&[("", values)], EXR_WIDTH, &[])
 }
 
+/// Corners of cells so near to each other, over their longest edge, are one: each cell computes its own.
+const SAME: f32 = 1e-3;
+
 /// One object's lists that are not stored as they are exported.
 struct Piece {
     index: usize,
@@ -110,9 +113,12 @@ impl Piece {
         let mut known: FastMap<([u32; 3], [u32; 3]), u32> = FastMap::default();
         for patch in cells {
             let reads = placed.layout.reads_of(patch);
+            let [a, b, c] = patch.corners;
+            let rounding = SAME * a.distance(b).max(b.distance(c)).max(c.distance(a));
             let [a, b, c] = [0, 1, 2].map(|k| {
                 let (read, at) = (reads[k].after(first), patch.corners[k]);
-                if read.is_one() && self.positions[read.elements[0] as usize] == at {
+                let is_there = |element: u32| self.positions[element as usize].distance(at) <= rounding;
+                if read.is_one() && (!placed.layout.is_shared() || is_there(read.elements[0])) {
                     return read.elements[0];
                 }
                 *known.entry((at.to_array().map(f32::to_bits), read.elements)).or_insert_with(|| {

@@ -112,12 +112,13 @@ fn density_of(options: &WorldOptions, scene: &Scene, areas: &[f64]) -> Result<De
 }
 
 impl Resolution {
-    /// How far apart elements lie on an object of `area` m². Where a spacing is given it is the largest, and what a file has
-    /// is kept as fine as it would be without.
+    /// How far apart elements lie on an object of `area` m². Where a spacing is given, and not their number, it is the largest,
+    /// and what a file has is kept as fine as it would be without.
     pub(super) fn distances(&self, area: f64, options: &WorldOptions) -> Distances<'static> {
         let spacing = self.density.of_object(area);
         let kept = self.smooth * spacing / self.density.spacing;
-        Distances { shared: if options.spacing.is_some() { kept } else { f32::INFINITY }, ..Distances::even(spacing) }
+        let is_given = options.spacing.is_some() && options.elements.is_none();
+        Distances { shared: if is_given { kept } else { f32::INFINITY }, ..Distances::even(spacing) }
     }
 }
 

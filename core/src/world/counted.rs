@@ -90,11 +90,12 @@ fn nearest(chosen: Density, objects: &[Counted], elements: usize) -> Density {
     let (mut scale, mut fine, mut coarse) = (1.0, None::<f64>, None::<f64>);
     for _ in 0..TRIES {
         let count = count(scaled(chosen, scale), objects, most);
-        match count {
+        let fitting = count.filter(|count| *count <= most);
+        match fitting {
             Some(_) => coarse = Some(scale),
             None => fine = Some(scale),
         }
-        if count.is_some_and(|count| count as f64 >= NEAR * most as f64 && most > least) {
+        if fitting.is_some_and(|count| count as f64 >= NEAR * most as f64 && most > least) {
             break;
         }
         // Beside the least that there can be, elements are as many as there are squares of the spacing.
@@ -102,7 +103,13 @@ fn nearest(chosen: Density, objects: &[Counted], elements: usize) -> Density {
         let aim = squares(AIM * most as f64);
         let by = match count {
             None => STEP,
-            Some(_) if aim == 0.0 => 1.0 / STEP,
+            Some(_) if aim == 0.0 => {
+                if fitting.is_some() {
+                    1.0 / STEP
+                } else {
+                    STEP
+                }
+            }
             Some(count) => (squares(count as f64) / aim).sqrt().clamp(1.0 / FAR, FAR),
         };
         scale = match (fine, coarse) {
@@ -131,18 +138,23 @@ fn rounded(x: f64, digits: i32) -> f64 {
     if power >= 0 { (x * unit).round() / unit } else { (x / unit).round() * unit }
 }
 
-/// Elements that objects have at a density; none where these are more than `most`.
+/// Elements that objects have at a density; none where one has more than `most` and vertices that may share some.
 fn count(density: Density, objects: &[Counted], most: usize) -> Option<usize> {
     let of_object = |object: &Counted| {
-        let count = Layout::count(object.surface, &Distances::even(density.of_object(object.area)), most).ok()?;
+        let distances = Distances::even(density.of_object(object.area));
+        // Vertices may be more, of which many share elements.
+        let limit = most.saturating_add(object.surface.positions.len());
+        let count = Layout::count(object.surface, &distances, limit).ok()?;
         Some(count * object.sides)
     };
     let counts: Option<Vec<usize>> = objects.par_iter().map(of_object).collect();
-    counts.map(|counts| counts.iter().sum()).filter(|count| *count <= most)
+    counts.map(|counts| counts.iter().sum())
 }
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use glam::Vec3;
 
     use super::*;
@@ -196,6 +208,23 @@ mod tests {
         assert_eq!(world.element_count(), 6 + 6 + 8);
         let told = &world.scene.warnings[0];
         assert!(told.contains("20 elements") && told.contains("10 were asked for"), "{told}");
+    }
+
+    #[test]
+    fn a_file_may_have_more_vertices_than_elements_are_asked_for() {
+        let mut scene = scene(0.0);
+        scene.objects.push(Arc::new(Object::new("ball", Mesh::icosphere(0.3, 6), grey())));
+        for asked in [1000, 4000] {
+            let options = WorldOptions { elements: Some(asked), ..WorldOptions::default() };
+            let world = World::new(scene.clone(), &options).expect("a world");
+            let count = world.element_count();
+            assert!(count <= asked && 10 * count > 7 * asked, "{asked}: {count}");
+            assert!(world.scene.warnings.is_empty(), "{:?}", world.scene.warnings);
+            // As a service builds it again.
+            let options = WorldOptions { spacing: Some(world.spacing()), ..options };
+            let again = World::new(scene.clone(), &options).expect("the same");
+            assert_eq!(again.element_count(), count);
+        }
     }
 
     #[test]
