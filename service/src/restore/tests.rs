@@ -117,10 +117,11 @@ fn with_light() -> (TempDir, u64, Arc<LightMap>) {
 #[test]
 fn light_of_another_layout_is_baked_anew_and_never_read() {
     for (about, is_read) in [
-        ("json_remove(about, '$.layout_version')", true),
-        ("json_set(about, '$.layout_version', 1)", true),
-        ("json_set(about, '$.layout_version', 0)", false),
-        ("json_set(about, '$.layout_version', 77)", false),
+        (format!("json_set(about, '$.layout_version', {})", engine::LAYOUT_VERSION), true),
+        ("json_remove(about, '$.layout_version')".to_owned(), false),
+        ("json_set(about, '$.layout_version', 1)".to_owned(), false),
+        ("json_set(about, '$.layout_version', 0)".to_owned(), false),
+        ("json_set(about, '$.layout_version', 77)".to_owned(), false),
     ] {
         let (directory, kept, map) = with_light();
         change(&directory, &format!("UPDATE light SET about = {about}"));
