@@ -122,7 +122,7 @@ export class Stage {
       const object = scene.objects.find((o) => o.name === name);
       if (!object) continue;
       const group = new Group();
-      const { light, base } = map.attributes(object, readsOf(node as Parameters<typeof readsOf>[0]));
+      const { light, base } = map.attributes(object, readsOf(node));
       node.updateMatrixWorld(true);
       node.traverse((child) => {
         if (!(child instanceof Mesh)) return;

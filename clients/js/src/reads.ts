@@ -6,15 +6,21 @@ export interface Reads {
   weights: ArrayLike<number>;
 }
 
+/** A node of three.js. */
 interface Node {
-  traverse(visit: (child: { geometry?: { attributes: Record<string, { array: ArrayLike<number> } | undefined> } }) => void): void;
+  traverse(visit: (child: object) => void): void;
+}
+
+interface Child {
+  geometry?: { attributes: Record<string, { array: ArrayLike<number> } | undefined> };
 }
 
 /** The attributes `_ELEMENTS` and `_WEIGHTS` of an object in a light map's glTF file; none where vertex i is element i. */
 export function readsOf(node: Node): Reads | undefined {
   let reads: Reads | undefined;
-  node.traverse(({ geometry }) => {
-    const [elements, weights] = [geometry?.attributes['_elements'], geometry?.attributes['_weights']];
+  node.traverse((child) => {
+    const attributes = (child as Child).geometry?.attributes;
+    const [elements, weights] = [attributes?.['_elements'], attributes?.['_weights']];
     if (elements && weights) reads = { elements: elements.array, weights: weights.array };
   });
   return reads;

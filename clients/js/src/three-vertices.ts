@@ -50,7 +50,7 @@ export class VertexLight implements Layout {
       const meshes: LitMesh[] = [];
       const { first, count } = object.elements;
       const values = this.map.values.subarray(3 * first, 3 * (first + count));
-      const reads = node && readsOf(node as Parameters<typeof readsOf>[0]);
+      const reads = node && readsOf(node);
       const light = new BufferAttribute(reads ? new Float32Array(reads.elements.length) : values, 3).setUsage(DynamicDrawUsage);
       if (reads) readVertices(reads, values, light.array as Float32Array);
       node?.updateMatrixWorld(true);

@@ -15,8 +15,8 @@ use super::reads::Read;
 /// Edges between the vertices that are left are no longer than this, as a part of the distance that elements may have.
 const LONGEST: f32 = 0.8;
 
-/// Corners with an edge shorter than this part of that may go.
-const DENSE: f32 = 0.5;
+/// Corners with an edge shorter than this, as a part of that distance, may go.
+const DENSE: f32 = 0.4;
 
 /// Fewer are not worth it, nor is a smaller part of all.
 const FEWEST: usize = 12;
@@ -73,15 +73,14 @@ impl<'f> Fine<'f> {
     /// Which corners go; none where all stay. `size`: how far apart elements may lie at a point, m; nowhere more than
     /// `largest`.
     pub(super) fn decimated(&self, size: impl Fn(Vec3) -> f32 + Sync, largest: f32) -> Option<Decimated> {
-        let shortest = self.shortest_edges();
         let least = self.least();
-        let is_dense = |corner: u32, size: f32| shortest[corner as usize] <= DENSE * LONGEST * size;
-        let corners = || 0..self.positions.len() as u32;
-        if corners().filter(|&corner| is_dense(corner, largest)).count() < least {
+        if !self.is_dense(largest) {
             return None;
         }
         let sizes: Vec<f32> = self.positions.par_iter().map(|&at| size(at)).collect();
-        let dense: Vec<u32> = corners().filter(|&corner| is_dense(corner, sizes[corner as usize])).collect();
+        let edges = self.shortest_edges();
+        let is_dense = |corner: &u32| edges[*corner as usize] <= DENSE * sizes[*corner as usize];
+        let dense: Vec<u32> = (0..self.positions.len() as u32).filter(is_dense).collect();
         if dense.len() < least {
             return None;
         }
@@ -98,7 +97,7 @@ impl<'f> Fine<'f> {
 
     /// Whether some may go where elements lie so far apart, m.
     pub(super) fn is_dense(&self, size: f32) -> bool {
-        let is_short = |edge: &&f32| **edge <= DENSE * LONGEST * size;
+        let is_short = |edge: &&f32| **edge <= DENSE * size;
         self.shortest_edges().iter().filter(is_short).count() >= self.least()
     }
 

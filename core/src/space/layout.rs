@@ -109,18 +109,27 @@ impl Arranged {
     }
 }
 
-/// All cells, before any share elements.
-fn subdivided(surface: &Surface, distances: &Distances, max_elements: usize) -> Result<Subdivided, SurfaceError> {
-    let spacing = distances.spacing;
-    if distances.sizing.is_none() && !(spacing.is_finite() && spacing > 0.0) {
+/// All cells, before any share elements. There may be as many elements more than `limit` as the surface has vertices: these
+/// may be the ones that are shared.
+fn subdivided(surface: &Surface, distances: &Distances, limit: usize) -> Result<Subdivided, SurfaceError> {
+    let Distances { spacing, sizing, .. } = *distances;
+    if sizing.is_none() && !(spacing.is_finite() && spacing > 0.0) {
         return Err(SurfaceError::Spacing(spacing));
     }
     // Elements are numbered with 32 bits.
-    let limit = max_elements.min(u32::MAX as usize);
-    if surface.positions.len() > limit {
+    let room = limit.saturating_add(surface.positions.len()).min(u32::MAX as usize);
+    if surface.positions.len() > room {
         return Err(SurfaceError::TooManyElements { limit });
     }
-    subdivide(surface, spacing, distances.sizing, limit)
+    let too_many = |error| match error {
+        SurfaceError::TooManyElements { .. } => SurfaceError::TooManyElements { limit },
+        error => error,
+    };
+    subdivide(surface, spacing, sizing, room).map_err(too_many)
+}
+
+fn check_count(count: usize, limit: usize) -> Result<usize, SurfaceError> {
+    if count > limit { Err(SurfaceError::TooManyElements { limit }) } else { Ok(count) }
 }
 
 impl Elements {
@@ -164,6 +173,7 @@ impl Layout {
             }
             elements = cells.share(surface, reads, &elements);
         }
+        check_count(elements.positions.len(), max_elements)?;
         let of_cells = cells.collect(surface, |_| true, |patch| Some(patch.elements));
         let neighbours = Neighbours::new(elements.positions.len(), &of_cells);
         let distance = |patch: &Patch| {
@@ -186,7 +196,7 @@ impl Layout {
         // Which ones are left goes by their order.
         let is_dense = fine.is_dense(distances.spacing.min(distances.shared));
         let decimated = is_dense.then(|| Arranged::new(surface, subdivided, distances).decimated).flatten();
-        Ok(decimated.map_or(count, |decimated| decimated.left()))
+        check_count(decimated.map_or(count, |decimated| decimated.left()), max_elements)
     }
 
     /// Ids of cells are below this.

@@ -85,44 +85,46 @@ struct Counted<'s> {
 
 /// The density whose elements are nearest below what is asked for.
 fn nearest(chosen: Density, objects: &[Counted], elements: usize) -> Density {
-    let least = count(scaled(chosen, COARSEST), objects, usize::MAX).unwrap_or_default();
-    let most = elements.max(least);
-    let (mut scale, mut fine, mut coarse) = (1.0, None::<f64>, None::<f64>);
+    let (mut most, mut is_least) = (elements, false);
+    let (mut scale, mut fine, mut coarse, mut last) = (1.0, None::<f64>, None::<f64>, None);
     for _ in 0..TRIES {
         let count = count(scaled(chosen, scale), objects, most);
-        let fitting = count.filter(|count| *count <= most);
-        match fitting {
+        if let Some(count) = count.filter(|count| *count > most && scale >= COARSEST) {
+            (most, is_least) = (count, true);
+        }
+        match count.filter(|count| *count <= most) {
+            Some(count) if count as f64 >= NEAR * most as f64 && !is_least => return scaled(chosen, scale),
             Some(_) => coarse = Some(scale),
             None => fine = Some(scale),
         }
-        if fitting.is_some_and(|count| count as f64 >= NEAR * most as f64 && most > least) {
-            break;
-        }
-        // Beside the least that there can be, elements are as many as there are squares of the spacing.
-        let squares = |count: f64| (count - least as f64).max(0.0);
-        let aim = squares(AIM * most as f64);
-        let by = match count {
-            None => STEP,
-            Some(_) if aim == 0.0 => {
-                if fitting.is_some() {
-                    1.0 / STEP
-                } else {
-                    STEP
-                }
-            }
-            Some(count) => (squares(count as f64) / aim).sqrt().clamp(1.0 / FAR, FAR),
-        };
+        let next = count.map(|count| toward(AIM * most as f64, (scale, count as f64), last));
+        last = count.map(|count| (scale, count as f64)).or(last);
         scale = match (fine, coarse) {
-            (Some(fine), Some(coarse)) if coarse / fine < SAME => break,
+            // Where there cannot be fewer, how much finer it might be matters little.
+            (Some(fine), Some(coarse)) if coarse / fine < if is_least { STEP } else { SAME } => break,
             (Some(fine), Some(coarse)) => {
-                let is_between = (fine * SAME.sqrt()..coarse / SAME.sqrt()).contains(&(scale * by));
-                if is_between { scale * by } else { (fine * coarse).sqrt() }
+                let is_between = |next: &f64| (fine * SAME.sqrt()..coarse / SAME.sqrt()).contains(next);
+                next.filter(is_between).unwrap_or((fine * coarse).sqrt())
             }
-            (None, _) => scale * by.min(0.9),
-            (_, None) => scale * by.max(1.1),
+            (None, _) => next.unwrap_or(scale).clamp(scale / FAR, 0.9 * scale),
+            (_, None) => next.unwrap_or(STEP * scale).clamp(1.1 * scale, FAR * scale),
         };
     }
     scaled(chosen, coarse.unwrap_or(scale))
+}
+
+/// The scale at which there would be so many elements, if they went with its inverse square: all of them, or those that are
+/// not there at any scale, as two counts tell.
+fn toward(aim: f64, (scale, count): (f64, f64), last: Option<(f64, f64)>) -> f64 {
+    let squares = |scale: f64| scale.powi(-2);
+    let per_square = match last {
+        Some((other, known)) if (known - count) * (other - scale) < 0.0 => {
+            (known - count) / (squares(other) - squares(scale))
+        }
+        _ => count / squares(scale),
+    };
+    let wanted = squares(scale) + (aim - count) / per_square;
+    if wanted > 0.0 { wanted.powf(-0.5) } else { f64::INFINITY }
 }
 
 /// A density with everything so many times as far apart. A few digits are the same when they are read again from text.
@@ -138,14 +140,12 @@ fn rounded(x: f64, digits: i32) -> f64 {
     if power >= 0 { (x * unit).round() / unit } else { (x / unit).round() * unit }
 }
 
-/// Elements that objects have at a density; none where one has more than `most` and vertices that may share some.
+/// Elements that objects have at a density; none where one has more than `most` by far, which is not counted to its end.
 fn count(density: Density, objects: &[Counted], most: usize) -> Option<usize> {
+    let limit = most.saturating_mul(FAR as usize);
     let of_object = |object: &Counted| {
         let distances = Distances::even(density.of_object(object.area));
-        // Vertices may be more, of which many share elements.
-        let limit = most.saturating_add(object.surface.positions.len());
-        let count = Layout::count(object.surface, &distances, limit).ok()?;
-        Some(count * object.sides)
+        Some(Layout::count(object.surface, &distances, limit).ok()? * object.sides)
     };
     let counts: Option<Vec<usize>> = objects.par_iter().map(of_object).collect();
     counts.map(|counts| counts.iter().sum())
