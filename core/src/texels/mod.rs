@@ -2,16 +2,18 @@
 //!
 //! Every texel whose centre lies on a surface reads the light there as a ray that met the surface would, so both sides of
 //! a seam read the same field; those beside an edge read the nearest point of it, and those beyond are filled from
-//! them, so that bilinear look-ups and small mip levels meet no black. Where a smooth surface is cut, texels beside the
-//! cut change a little, so that look-ups agree on both sides.
+//! them, so that bilinear look-ups and small mip levels meet no black. Where a smooth surface is cut, or goes on in another
+//! object, texels beside the cut change a little, so that look-ups agree on both sides.
 
+mod borders;
 mod seams;
 #[cfg(test)]
 mod tests;
 
-use glam::{DVec2, Vec3};
+use glam::{DVec2, Vec2, Vec3};
 use rayon::prelude::*;
 
+use self::borders::Borders;
 use crate::atlas::{Atlas, Entry, Rectangle, for_rows, nearest};
 use crate::bvh::{Hit, Ray};
 use crate::job::{Canceled, Observer};
@@ -65,7 +67,8 @@ pub fn read_page(
         sides.into_iter().flatten().map(move |(rectangle, is_back)| Side { index, entry, rectangle, is_back })
     });
     let sides: Vec<Side> = sides.filter(|side| side.rectangle.page == page).collect();
-    let read = |side: &Side| if observer.canceled() { Err(Canceled) } else { Ok(side.read(world, values)) };
+    let borders = Borders::new(world, atlas.texels_per_metre());
+    let read = |side: &Side| if observer.canceled() { Err(Canceled) } else { Ok(side.read(world, &borders, values)) };
     let sheets: Vec<Sheet> = sides.par_iter().map(read).collect::<Result<_, _>>()?;
     let mut result =
         TexelPage { width, height, values: vec![Vec3::ZERO; width * height], valid: vec![false; width * height] };
@@ -95,12 +98,26 @@ struct Sheet {
     valid: Vec<bool>,
 }
 
-/// The point of a surface that is nearest to a texel's centre.
+/// A point of a surface.
 #[derive(Clone, Copy)]
-struct Point {
+struct Place {
     face: u32,
     /// Of the second and third corner.
     weights: [f32; 2],
+}
+
+impl Place {
+    /// On the way to another place of the same face.
+    fn towards(&self, other: &Place, t: f32) -> Place {
+        let mix = |k: usize| self.weights[k] + (other.weights[k] - self.weights[k]) * t;
+        Place { face: self.face, weights: [mix(0), mix(1)] }
+    }
+}
+
+/// The point of a surface that is nearest to a texel's centre.
+#[derive(Clone, Copy)]
+struct Point {
+    place: Place,
     /// Texels, squared.
     distance2: f32,
 }
@@ -108,14 +125,17 @@ struct Point {
 const NO_FACE: u32 = u32::MAX;
 
 impl Side<'_> {
-    fn read(&self, world: &World, values: &[Vec3]) -> Sheet {
+    fn read(&self, world: &World, borders: &Borders, values: &[Vec3]) -> Sheet {
         let width = self.rectangle.size[0] as usize;
         let points = self.points(world);
-        let light = |point: &Point| (point.face != NO_FACE).then(|| self.light(world, point, values)).flatten();
+        let light =
+            |point: &Point| (point.place.face != NO_FACE).then(|| self.light(world, &point.place, values)).flatten();
         let found: Vec<Option<Vec3>> = points.par_iter().with_min_len(CHUNK).map(light).collect();
         let valid: Vec<bool> = found.iter().map(Option::is_some).collect();
         let mut sheet = Sheet { width, values: found.into_iter().map(Option::unwrap_or_default).collect(), valid };
-        seams::close(&world.placed[self.index].surface, self.entry, width, &sheet.valid, &mut sheet.values);
+        let seams = seams::seams(&world.placed[self.index].surface, self.entry);
+        let targets = borders::targets(world, self, borders.of(self.index), values);
+        seams::close((&seams, &targets), width, &sheet.valid, &mut sheet.values);
         sheet.dilate();
         sheet
     }
@@ -123,7 +143,7 @@ impl Side<'_> {
     /// Per texel of the rectangle.
     fn points(&self, world: &World) -> Vec<Point> {
         let [width, height] = self.rectangle.size;
-        let none = Point { face: NO_FACE, weights: [0.0; 2], distance2: f32::INFINITY };
+        let none = Point { place: Place { face: NO_FACE, weights: [0.0; 2] }, distance2: f32::INFINITY };
         let mut points = vec![none; width as usize * height as usize];
         let surface = &world.placed[self.index].surface;
         for (face, source) in surface.sources.iter().enumerate() {
@@ -136,27 +156,38 @@ impl Side<'_> {
                 let (weights, distance2) = nearest(corners, DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5));
                 if (distance2 as f32) < point.distance2 {
                     let weights = [weights[1] as f32, weights[2] as f32];
-                    *point = Point { face: face as u32, weights, distance2: distance2 as f32 };
+                    *point = Point { place: Place { face: face as u32, weights }, distance2: distance2 as f32 };
                 }
             });
         }
         points
     }
 
-    /// As a ray that meets the surface there reads it; none where no element knows it.
-    fn light(&self, world: &World, point: &Point, values: &[Vec3]) -> Option<Vec3> {
-        let placed = &world.placed[self.index];
-        let [a, b, c] = placed.surface.corners(point.face as usize);
-        let normal = geometric_normal(a, b, c)?;
-        let [u, v] = point.weights;
-        let origin = a * (1.0 - u - v) + b * u + c * v;
-        let direction = if self.is_back { normal } else { -normal };
-        let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
-        let hit = Hit { t: 0.0, u, v, triangle: placed.placement.faces.start + point.face, normal };
-        let value = Surfel::to_look_up(world, &ray, &hit, &mut 0)?.footprint?.interpolate(values);
-        // Infinite errors that do not count.
-        Some(if value.is_nan() { Vec3::INFINITY } else { value })
+    fn light(&self, world: &World, place: &Place, values: &[Vec3]) -> Option<Vec3> {
+        light_of(world, (self.index, self.is_back), place, values)
     }
+
+    /// Texels of the rectangle.
+    fn on_rectangle(&self, world: &World, place: &Place) -> Vec2 {
+        let [a, b, c] = self.entry.places_of(world.placed[self.index].surface.sources[place.face as usize]);
+        let [u, v] = place.weights;
+        a * (1.0 - u - v) + b * u + c * v
+    }
+}
+
+/// Light of one side of an object, as a ray that meets the surface there reads it; none where no element knows it.
+fn light_of(world: &World, (object, is_back): (usize, bool), place: &Place, values: &[Vec3]) -> Option<Vec3> {
+    let placed = &world.placed[object];
+    let [a, b, c] = placed.surface.corners(place.face as usize);
+    let normal = geometric_normal(a, b, c)?;
+    let [u, v] = place.weights;
+    let origin = a * (1.0 - u - v) + b * u + c * v;
+    let direction = if is_back { normal } else { -normal };
+    let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
+    let hit = Hit { t: 0.0, u, v, triangle: placed.placement.faces.start + place.face, normal };
+    let value = Surfel::to_look_up(world, &ray, &hit, &mut 0)?.footprint?.interpolate(values);
+    // Infinite errors that do not count.
+    Some(if value.is_nan() { Vec3::INFINITY } else { value })
 }
 
 impl Sheet {

@@ -1,7 +1,8 @@
 //! Seams: where a smooth surface is cut, look-ups on either side of the cut are made to agree.
 //!
 //! Both sides read the same field, but between other texels. Texels beside cuts change a little, by least squares: the
-//! differences of bilinear look-ups along all cuts of an object, and what the texels differ from what they were. The
+//! differences of bilinear look-ups along all cuts of an object, those of look-ups along borders to other objects from what
+//! both are to have there, and what the texels differ from what they were. The
 //! iteration has a fixed number of steps whose coefficients are fixed, too, so that it is linear: sums of layers stay
 //! sums.
 
@@ -22,13 +23,22 @@ const MOST: usize = 8192;
 
 const STEPS: usize = 40;
 
+const NONE: u32 = u32::MAX;
+
 /// Places of both ends of an edge, in two triangles.
 pub(super) type Seam = [[Vec2; 2]; 2];
 
-/// Changes `values` (per texel of a rectangle `width` wide) so that look-ups agree across the smooth edges of a surface
-/// that the places of an object cut. Texels that are not valid are left alone, and so are edges beside them.
-pub(super) fn close(surface: &Surface, entry: &Entry, width: usize, valid: &[bool], values: &mut [Vec3]) {
-    let system = System::new(&seams(surface, entry), width, valid);
+/// Look-ups along an edge of so many texels, less one.
+pub(super) fn look_ups(length: f32) -> usize {
+    ((length * PER_TEXEL).ceil() as usize).clamp(1, MOST)
+}
+
+/// Changes `values` (per texel of a rectangle `width` wide) so that look-ups agree across seams, and find the targets that
+/// there are for some places. Texels that are not valid are left alone, and so are edges beside them.
+pub(super) fn close((seams, targets): (&[Seam], &[(Vec2, Vec3)]), width: usize, valid: &[bool], values: &mut [Vec3]) {
+    let mut system = System::new(valid);
+    seams.iter().for_each(|seam| system.add_seam(seam, width));
+    targets.iter().filter(|(_, value)| value.is_finite()).for_each(|(at, value)| system.add_target(*at, *value, width));
     let own: Vec<Vec3> = system.texels.iter().map(|&texel| values[texel as usize]).collect();
     if own.is_empty() || own.iter().any(|value| !value.is_finite()) {
         return;
@@ -61,65 +71,77 @@ pub(super) fn seams(surface: &Surface, entry: &Entry) -> Vec<Seam> {
     (0..places.len()).flat_map(edges).filter_map(seam).collect()
 }
 
-/// Differences of look-ups as a sparse matrix.
-struct System {
+/// Look-ups, and differences of two, as a sparse matrix, and what they are to be.
+struct System<'v> {
+    valid: &'v [bool],
+    /// By texel: its index in `texels`.
+    indices: Vec<u32>,
     /// The texels that they read.
     texels: Vec<u32>,
     /// Of each: indices into `texels`, with weights.
     rows: Vec<[(u32, f32); 8]>,
+    /// Per row.
+    wanted: Vec<Vec3>,
 }
 
-impl System {
-    fn new(seams: &[Seam], width: usize, valid: &[bool]) -> System {
-        const NONE: u32 = u32::MAX;
-        let (mut system, mut indices) = (System { texels: Vec::new(), rows: Vec::new() }, vec![NONE; valid.len()]);
-        for [here, there] in seams {
-            let longest = (here[0] - here[1]).length().max((there[0] - there[1]).length());
-            let count = ((longest * PER_TEXEL).ceil() as usize).clamp(1, MOST);
-            for k in 0..=count {
-                let at = k as f32 / count as f32;
-                let sides = [here, there].map(|ends| look_up(ends[0].lerp(ends[1], at), width));
-                let entries = [(0, 1.0), (1, -1.0)].map(|(side, sign)| sides[side].map(|(texel, w)| (texel, w * sign)));
-                let is_read = |(texel, w): &(usize, f32)| *w == 0.0 || valid.get(*texel).is_some_and(|valid| *valid);
-                if !entries.as_flattened().iter().all(is_read) {
-                    continue;
-                }
-                let mut row = [(0, 0.0); 8];
-                for (entry, &(texel, weight)) in row.iter_mut().zip(entries.as_flattened()) {
-                    if weight == 0.0 {
-                        continue;
-                    }
-                    let index = &mut indices[texel];
-                    if *index == NONE {
-                        *index = system.texels.len() as u32;
-                        system.texels.push(texel as u32);
-                    }
-                    *entry = (*index, weight);
-                }
-                system.rows.push(row);
-            }
-        }
-        system
+impl System<'_> {
+    fn new(valid: &[bool]) -> System<'_> {
+        System { valid, indices: vec![NONE; valid.len()], texels: Vec::new(), rows: Vec::new(), wanted: Vec::new() }
     }
 
-    /// Aᵀ A x.
-    fn normal(&self, x: &[Vec3]) -> Vec<Vec3> {
+    fn add_seam(&mut self, [here, there]: &Seam, width: usize) {
+        let longest = (here[0] - here[1]).length().max((there[0] - there[1]).length());
+        let count = look_ups(longest);
+        for k in 0..=count {
+            let at = k as f32 / count as f32;
+            let sides = [here, there].map(|ends| look_up(ends[0].lerp(ends[1], at), width));
+            let entries = [(0, 1.0), (1, -1.0)].map(|(side, sign)| sides[side].map(|(texel, w)| (texel, w * sign)));
+            self.add(entries.as_flattened(), Vec3::ZERO);
+        }
+    }
+
+    fn add_target(&mut self, at: Vec2, value: Vec3, width: usize) {
+        self.add(&look_up(at, width), value);
+    }
+
+    /// A row, unless it reads texels that are not valid.
+    fn add(&mut self, entries: &[(usize, f32)], wanted: Vec3) {
+        let is_read = |(texel, w): &(usize, f32)| *w == 0.0 || self.valid.get(*texel).is_some_and(|valid| *valid);
+        if !entries.iter().all(is_read) {
+            return;
+        }
+        let mut row = [(0, 0.0); 8];
+        for (entry, &(texel, weight)) in row.iter_mut().zip(entries).filter(|(_, (_, weight))| *weight != 0.0) {
+            let index = &mut self.indices[texel];
+            if *index == NONE {
+                *index = self.texels.len() as u32;
+                self.texels.push(texel as u32);
+            }
+            *entry = (*index, weight);
+        }
+        self.rows.push(row);
+        self.wanted.push(wanted);
+    }
+
+    /// Aᵀ (A x − b), without b where it is not to count.
+    fn normal(&self, x: &[Vec3], wanted: Option<&[Vec3]>) -> Vec<Vec3> {
         let mut result = vec![Vec3::ZERO; x.len()];
-        for row in &self.rows {
-            let difference: Vec3 = row.iter().map(|&(k, weight)| x[k as usize] * weight).sum();
+        for (index, row) in self.rows.iter().enumerate() {
+            let found: Vec3 = row.iter().map(|&(k, weight)| x[k as usize] * weight).sum();
+            let difference = wanted.map_or(found, |wanted| found - wanted[index]);
             row.iter().for_each(|&(k, weight)| result[k as usize] += difference * weight);
         }
         result
     }
 
-    /// The least squares: (AᵀA + s) d = −AᵀA x, by Chebyshev's iteration.
+    /// The least squares: (AᵀA + s) d = Aᵀ (b − A x), by Chebyshev's iteration.
     fn changes(&self, values: &[Vec3]) -> Vec<Vec3> {
         let mut sums = vec![0.0; values.len()];
         self.rows.iter().flatten().for_each(|&(k, weight)| sums[k as usize] += weight.abs());
         // No eigenvalue of AᵀA is above the product of the largest sums of a row, 2, and a column.
         let most = 2.0 * sums.into_iter().fold(0.0, f32::max) + STAY;
         let (middle, half) = (0.5 * (most + STAY), 0.5 * (most - STAY));
-        let mut residual: Vec<Vec3> = self.normal(values).into_iter().map(|part| -part).collect();
+        let mut residual: Vec<Vec3> = self.normal(values, Some(&self.wanted)).into_iter().map(|part| -part).collect();
         let mut changes = vec![Vec3::ZERO; values.len()];
         let (mut direction, mut alpha) = (residual.clone(), 1.0 / middle);
         for step in 0..STEPS {
@@ -129,7 +151,7 @@ impl System {
                 direction.iter_mut().zip(&residual).for_each(|(d, r)| *d = *r + *d * beta);
             }
             changes.iter_mut().zip(&direction).for_each(|(change, d)| *change += *d * alpha);
-            let applied = self.normal(&direction);
+            let applied = self.normal(&direction, None);
             for ((r, d), applied) in residual.iter_mut().zip(&direction).zip(applied) {
                 *r -= (applied + *d * STAY) * alpha;
             }

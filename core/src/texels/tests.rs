@@ -1,3 +1,4 @@
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use glam::{DMat4, DQuat, DVec3, Vec2};
@@ -72,8 +73,8 @@ fn compare(world: &World, values: &[Vec3], points: usize) -> Vec<(Vec3, Vec3)> {
             let [b, c] = if source.turned() { [c, b] } else { [b, c] };
             let uv = (a * (1.0 - u - v) + b * u + c * v).as_dvec2();
             let side = Side { index, entry, rectangle: &entry.front, is_back: false };
-            let point = Point { face: face as u32, weights: [u, v], distance2: 0.0 };
-            let direct = side.light(world, &point, values).expect("light");
+            let place = Place { face: face as u32, weights: [u, v] };
+            let direct = side.light(world, &place, values).expect("light");
             pairs.push((look_up(&pages[entry.front.page], uv * scale + offset), direct));
         }
     }
@@ -124,9 +125,10 @@ fn seams_close_and_edges_stay() {
     let (atlas, surface) = (world.atlas().expect("an atlas"), &world.placed[0].surface);
     let entry = atlas.entry("ball").expect("it");
     let side = Side { index: 0, entry, rectangle: &entry.front, is_back: false };
-    let closed = side.read(&world, &rough);
+    let closed = side.read(&world, &Borders::new(&world, 12.0), &rough);
     let points = side.points(&world);
-    let light = |point: &Point| (point.face != NO_FACE).then(|| side.light(&world, point, &rough)).flatten();
+    let light =
+        |point: &Point| (point.place.face != NO_FACE).then(|| side.light(&world, &point.place, &rough)).flatten();
     let open: Vec<Vec3> = points.iter().map(|point| light(point).unwrap_or_default()).collect();
     let seams = seams::seams(surface, entry);
     assert!(seams.len() > 50, "{}", seams.len());
@@ -208,5 +210,61 @@ fn pages_are_the_same_on_any_number_of_threads_and_after_edits_that_cancel_out()
     let rectangle = |world: &World, name: &str| world.atlas().expect("an atlas").entry(name).expect("it").front;
     for name in ["floor", "box", "mirrored", "ball"] {
         assert_eq!(rectangle(&moved, name), rectangle(&world, name), "{name}");
+    }
+}
+
+/// Tiles of a floor, of which one is beside two, and one a little higher; a wall at their end.
+#[test]
+fn look_ups_agree_where_objects_touch() {
+    let tile = |name: &str, x: f32, z: f32, y: f32| object(name, Mesh::quad(Vec3::new(x, y, z), Vec3::Z, Vec3::X));
+    let wall = object("wall", Mesh::quad(Vec3::new(0.0, 0.0, 0.0), Vec3::Y, Vec3::Z));
+    let objects = vec![
+        tile("a", 0.0, 0.0, 0.0),
+        tile("b", 1.0, -0.4, 0.0),
+        tile("c", 1.0, 0.6, 0.0),
+        tile("high", 0.0, 1.0, 0.05),
+        wall,
+    ];
+    let world = world(objects, 20.0);
+    let mut rng = Pcg32::new(9, 1);
+    let rough: Vec<Vec3> = (0..world.slots()).map(|_| Vec3::from([rng.next_2d()[0]; 3])).collect();
+    let atlas = world.atlas().expect("an atlas");
+    let side = |index: usize| {
+        let entry = atlas.entry(&world.scene.objects[index].name).expect("it");
+        Side { index, entry, rectangle: &entry.front, is_back: false }
+    };
+    let borders = Borders::new(&world, 20.0);
+    let met = |object: usize| borders.of(object).iter().map(|border| border.object).collect::<BTreeSet<_>>();
+    let expected: [&[usize]; 5] = [&[1, 2], &[0, 2], &[0, 1], &[], &[]];
+    assert_eq!([0, 1, 2, 3, 4].map(met), expected.map(|others| others.iter().copied().collect()));
+    // Look-ups on both sides of every border, with it closed and as it was read.
+    let none = Borders::none(5);
+    let difference = |borders: &Borders| {
+        let sheets: Vec<Sheet> = (0..3).map(|index| side(index).read(&world, borders, &rough)).collect();
+        let find = |object: usize, place: &Place| {
+            let at = side(object).on_rectangle(&world, place);
+            let parts = seams::look_up(at, sheets[object].width).into_iter();
+            parts.map(|(k, w)| sheets[object].values[k] * w).sum::<Vec3>()
+        };
+        let mut squares = Vec::new();
+        let all = Borders::new(&world, 20.0);
+        for (object, border) in (0..3).flat_map(|object| all.of(object).iter().map(move |border| (object, border))) {
+            for k in 0..20 {
+                let t = (k as f32 + 0.3) / 20.0;
+                let [here, there] = [&border.here, &border.there].map(|[from, to]| from.towards(to, t));
+                squares.push((find(object, &here) - find(border.object, &there)).length_squared());
+            }
+        }
+        (squares.iter().sum::<f32>() / squares.len() as f32).sqrt()
+    };
+    let (before, after) = (difference(&none), difference(&borders));
+    assert!(after < before / 4.0, "{before} {after}");
+    // The mean of both is what it was, and what lies apart is left alone.
+    let mean = |borders: &Borders| {
+        (0..3).flat_map(|index| side(index).read(&world, borders, &rough).values).map(|v| v.x).sum::<f32>()
+    };
+    assert!((mean(&none) / mean(&borders) - 1.0).abs() < 0.02);
+    for index in [3, 4] {
+        assert_eq!(side(index).read(&world, &none, &rough).values, side(index).read(&world, &borders, &rough).values);
     }
 }
