@@ -7,6 +7,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::buried::behind_surfaces;
+use super::validity::part_of;
 use super::{Placed, World};
 use crate::bits::Bits;
 use crate::bvh::Ray;
@@ -100,17 +101,12 @@ impl World {
         if behind == world.validity.behind() {
             return;
         }
-        let validity = Arc::new(world.validity.with_behind(world, &behind));
-        let is_behind = |slot: u32| validity.behind().binary_search(&slot).is_ok();
-        let cells = |placed: &Arc<Placed>| -> Vec<(u32, bool)> {
-            placed.layout.of_cells(&placed.surface, |patch| {
-                let at = placed.sides().any(|side| patch.elements.iter().any(|e| is_behind(side.start + e)));
-                at.then_some((placed.placement.cells.start + patch.cell, true))
-            })
-        };
-        let has_some = |placed: &&Arc<Placed>| !validity.behind_of(&placed.placement.elements).is_empty();
-        let cells: Vec<(u32, bool)> = world.placed.par_iter().filter(has_some).flat_map_iter(cells).collect();
-        self.validity = validity;
+        // Cells at the others are cut already.
+        let was_behind = |slot: &u32| world.validity.behind().binary_search(slot).is_ok();
+        let fresh: Vec<u32> = behind.iter().copied().filter(|slot| !was_behind(slot)).collect();
+        let cells: Vec<(u32, bool)> =
+            world.placed.par_iter().flat_map_iter(|placed| cells_at(world, placed, &fresh)).collect();
+        self.validity = Arc::new(world.validity.with_behind(world, &behind));
         self.space.set_cuts(cells);
     }
 
@@ -189,6 +185,22 @@ fn hidden_entries(world: &World, placed: &Placed, touched: Touched, old: Option<
     let mut hidden = touched.and(old).map_or_else(Bits::default, |old| old.hidden.clone());
     asked.into_iter().for_each(|(entry, is_hidden)| hidden.set(entry, is_hidden));
     Hidden { hidden, entries }
+}
+
+/// Cells of an object at some of `slots`, ascending: they are cut.
+fn cells_at(world: &World, placed: &Placed, slots: &[u32]) -> Vec<(u32, bool)> {
+    let own = part_of(slots, &placed.placement.elements);
+    if own.is_empty() {
+        return Vec::new();
+    }
+    let grow = |(low, high): (Vec3, Vec3), p: Vec3| (low.min(p), high.max(p));
+    let at = own.iter().map(|&slot| world.positions()[slot as usize]);
+    let around = at.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), grow);
+    placed.layout.of_cells_in(&placed.surface, &[around], |patch| {
+        let is_own = |slot: u32| own.binary_search(&slot).is_ok();
+        let at = placed.sides().any(|side| patch.elements.iter().any(|e| is_own(side.start + e)));
+        at.then_some((placed.placement.cells.start + patch.cell, true))
+    })
 }
 
 /// Cells whose corners were asked whether they see each other, and whether some do not, or are no places of their own.

@@ -230,7 +230,7 @@ impl World {
 }
 
 /// Of ascending slots those in a range.
-fn part_of<'s>(slots: &'s [u32], range: &Range<u32>) -> &'s [u32] {
+pub(super) fn part_of<'s>(slots: &'s [u32], range: &Range<u32>) -> &'s [u32] {
     let index = |slot: u32| slots.partition_point(|&s| s < slot);
     &slots[index(range.start)..index(range.end)]
 }
