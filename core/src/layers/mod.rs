@@ -101,8 +101,7 @@ pub(crate) fn whole(layers: Vec<Arc<Layer>>, weights: &[Vec3], correlation: f64)
 
 /// Variance of the weighted sum of layers, per slot, with what their rest is off by at these weights.
 fn stated_variance(layers: &[Arc<Layer>], weights: &[Vec3], correlation: f64) -> Vec<f32> {
-    let parts: Vec<AnyLight> = layers.iter().map(|layer| AnyLight::Sparse(&layer.light)).collect();
-    let mut variance = variance_of(&parts, weights, correlation);
+    let mut variance = variance_of(&lights_of(layers), weights, correlation);
     let off = rest::off_by(layers, weights);
     if let Some(rest) = layers.first().filter(|layer| off > 0.0 && layer.lights.is_empty()) {
         rest::add_square_of_rest(&mut variance, &rest.light, off);
@@ -139,48 +138,53 @@ fn sum_blocks(
     sum(&mut light.indirect, |block| block.indirect);
 }
 
-/// Calls `f` with the values of every block of a chunk ([`CHUNK`] slots) in which there is light, and that light.
-fn for_blocks<T>(values: &mut [T], chunk: usize, light: AnyLight, mut f: impl FnMut(&mut [T], &LightBlock)) {
-    let first = chunk * (CHUNK / BLOCK_SLOTS);
-    for (index, values) in (first..).zip(values.chunks_mut(BLOCK_SLOTS)) {
-        light.block(index).iter().for_each(|block| f(values, block));
-    }
+fn lights_of(layers: &[Arc<Layer>]) -> Vec<AnyLight<'_>> {
+    layers.iter().map(|layer| AnyLight::Sparse(&layer.light)).collect()
 }
 
 /// Variance of the weighted sum of layers, per slot.
 fn variance_of(layers: &[AnyLight], weights: &[Vec3], correlation: f64) -> Vec<f32> {
-    let len = layers.first().map_or(0, AnyLight::len);
-    let correlation = correlation as f32;
-    let factors: Vec<f32> = weights.iter().map(|w| w.length_squared() / 3.0).collect();
-    let mut variance = vec![0.0f32; len];
-    variance.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, variance)| {
-        let mut sums = [(0.0f32, 0.0f32); CHUNK];
-        let sums = &mut sums[..variance.len()];
-        for (layer, factor) in layers.iter().zip(&factors) {
-            for_blocks(sums, chunk, *layer, |sums, block| {
-                for ((sum, equal), value) in sums.iter_mut().zip(block.variance) {
-                    let value = value * factor;
-                    *sum += value;
-                    *equal += value.sqrt();
-                }
-            });
-        }
-        for (variance, (sum, equal)) in variance.iter_mut().zip(sums) {
-            *variance = (*sum + correlation * (*equal * *equal - *sum)).max(0.0);
-        }
-    });
+    let mut variance = vec![0.0; layers.first().map_or(0, AnyLight::len)];
+    variance_of_blocks(&mut variance, layers, weights, correlation, |_| true);
     variance
 }
 
+/// Writes the variance of the weighted sum of layers into the blocks that are wanted.
+fn variance_of_blocks(
+    variance: &mut [f32],
+    layers: &[AnyLight],
+    weights: &[Vec3],
+    correlation: f64,
+    is_wanted: impl Fn(usize) -> bool + Sync,
+) {
+    let correlation = correlation as f32;
+    let factors: Vec<f32> = weights.iter().map(|w| w.length_squared() / 3.0).collect();
+    let blocks = variance.par_chunks_mut(BLOCK_SLOTS).enumerate().with_min_len(CHUNK / BLOCK_SLOTS);
+    blocks.filter(|(index, _)| is_wanted(*index)).for_each(|(index, variance)| {
+        let mut sums = [(0.0f32, 0.0f32); BLOCK_SLOTS];
+        for (layer, factor) in layers.iter().zip(&factors) {
+            let Some(block) = layer.block(index) else { continue };
+            for ((sum, equal), value) in sums.iter_mut().zip(block.variance) {
+                let value = value * factor;
+                *sum += value;
+                *equal += value.sqrt();
+            }
+        }
+        for (variance, (sum, equal)) in variance.iter_mut().zip(sums) {
+            *variance = (sum + correlation * (equal * equal - sum)).max(0.0);
+        }
+    });
+}
+
 /// The map of layers that take the place of those of `old`, one by one, with the weights of `after`. Only what changes is
-/// summed anew.
+/// summed anew: elsewhere light and its variance stay, but for what the rest is off by.
 pub(crate) fn whole_of(layers: Vec<Arc<Layer>>, old: &LightMap, before: &Scene, after: &Scene) -> LightMap {
     let old_weights = old.layer_weights(before);
     let correlation = correlation(old, &old_weights);
     let mut map = LightMap { light: LightValues::default(), layers };
     let weights = map.layer_weights(after);
-    let variance = stated_variance(&map.layers, &weights, correlation);
-    if map.layers.len() != old.layers.len() {
+    if map.layers.len() != old.layers.len() || old.light.variance.len() != old.len() {
+        let variance = stated_variance(&map.layers, &weights, correlation);
         return whole_with(map.layers, &weights, variance);
     }
     let mut has_changed = vec![false; blocks_of(old.len())];
@@ -188,8 +192,16 @@ pub(crate) fn whole_of(layers: Vec<Arc<Layer>>, old: &LightMap, before: &Scene, 
     for ((new, old), _) in pairs.filter(|((new, old), (a, b))| !Arc::ptr_eq(new, old) || a != b) {
         new.light.blocks().chain(old.light.blocks()).for_each(|(index, _)| has_changed[index] = true);
     }
-    map.light = LightValues { direct: old.light.direct.clone(), indirect: old.light.indirect.clone(), variance };
+    map.light = old.light.clone();
     sum_blocks(&mut map.light, &map.layers, &weights, |index| has_changed[index]);
+    let variance = &mut map.light.variance;
+    variance_of_blocks(variance, &lights_of(&map.layers), &weights, correlation, |index| has_changed[index]);
+    if let Some(rest) = map.layers.first().filter(|layer| layer.lights.is_empty()) {
+        let [now, then] =
+            [(&map.layers, &weights), (&old.layers, &old_weights)].map(|(l, w)| rest::off_by(l, w).powi(2));
+        let more = |index: usize| if has_changed[index] { now } else { now - then };
+        rest::add_squares_of_rest(variance, &rest.light, more);
+    }
     map
 }
 
@@ -207,6 +219,10 @@ pub(crate) fn correlation(map: &LightMap, weights: &[Vec3]) -> f64 {
     }
     let factors: Vec<f32> = weights.iter().map(|w| w.length_squared() / 3.0).collect();
     let (mut measured, mut independent, mut equal) = (0.0f64, 0.0f64, 0.0f64);
+    // What the rest is off by is stated beside what was measured.
+    let off = rest::off_by(&map.layers, weights);
+    let rest = map.rest().filter(|_| off > 0.0);
+    let of_rest = |slot| rest.map_or(0.0, |rest| off * off * rest::square_at(&rest.light, slot));
     // Few slots of many layers tell as much.
     let slots = (SIDE_BY_SIDE * CORRELATION_SLOTS / map.layers.len()).clamp(CORRELATION_SLOTS / 8, CORRELATION_SLOTS);
     let step = map.len().div_ceil(slots).max(1);
@@ -217,7 +233,7 @@ pub(crate) fn correlation(map: &LightMap, weights: &[Vec3]) -> f64 {
             sum += variance;
             root += variance.sqrt();
         }
-        measured += f64::from(map.light.variance[slot]);
+        measured += f64::from(map.light.variance[slot] - of_rest(slot));
         independent += f64::from(sum);
         equal += f64::from(root * root);
     }

@@ -14,6 +14,9 @@ use crate::lightmap::LightMap;
 use crate::scene::Scene;
 use crate::value::LEAST_TOLD;
 
+/// Blocks per task.
+const BLOCKS: usize = 64;
+
 /// Name of the layer of what is left of the others.
 pub const REST_LAYER: &str = "rest";
 
@@ -116,13 +119,26 @@ pub(crate) fn less_sure(rest: &Layer, part: f32) -> Arc<Layer> {
 
 /// Adds the square of so much of the rest, mean over RGB, to variances per slot.
 pub(crate) fn add_square_of_rest(variance: &mut [f32], rest: &SparseLight, part: f32) {
-    let factor = part * part / 3.0;
-    for (index, block) in rest.blocks() {
-        let variances = variance[index * BLOCK_SLOTS..].iter_mut();
-        let light = block.direct.iter().zip(block.indirect);
-        // Edits leave light of both signs in it.
-        variances.zip(light).for_each(|(v, (d, i))| *v += factor * (d.abs() + i.abs()).length_squared());
-    }
+    add_squares_of_rest(variance, rest, |_| part * part);
+}
+
+/// The squared rest of a slot, mean over RGB. Edits leave light of both signs in it.
+pub(super) fn square_at(rest: &SparseLight, slot: usize) -> f32 {
+    let (direct, indirect) = rest.at(slot);
+    (direct.abs() + indirect.abs()).length_squared() / 3.0
+}
+
+/// Adds `squares(block)` times the squared rest, mean over RGB, to variances per slot; they stay above zero.
+pub(super) fn add_squares_of_rest(variance: &mut [f32], rest: &SparseLight, squares: impl Fn(usize) -> f32 + Sync) {
+    let add = |(index, variance): (usize, &mut [f32])| {
+        let factor = squares(index) / 3.0;
+        let Some(block) = rest.block(index).filter(|_| factor != 0.0) else { return };
+        for (v, (d, i)) in variance.iter_mut().zip(block.direct.iter().zip(block.indirect)) {
+            // Edits leave light of both signs in it.
+            *v = (*v + factor * (d.abs() + i.abs()).length_squared()).max(0.0);
+        }
+    };
+    variance.par_chunks_mut(BLOCK_SLOTS).enumerate().with_min_len(BLOCKS).for_each(add);
 }
 
 /// Layers of which those that `which` tells were computed just now: where they matter little, their light goes to the

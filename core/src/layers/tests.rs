@@ -6,7 +6,8 @@ use glam::{DVec3, Vec3};
 
 use super::plan::{Piece, Plan, groups_of, wants_layers};
 use super::{
-    Layer, LayerHeader, LayerLight, MAX_GROUPS, MAX_LAYERS, REST_LAYER, SHARED_LAYER, SIDE_BY_SIDE, weight_of,
+    BLOCK_SLOTS, Layer, LayerHeader, LayerLight, LightValues, MAX_GROUPS, MAX_LAYERS, REST_LAYER, SHARED_LAYER,
+    SIDE_BY_SIDE, correlation, weight_of, whole, whole_of,
 };
 use crate::lightmap::LightMap;
 use crate::scene::{Light, LightKind, Scene};
@@ -158,4 +159,45 @@ fn more_layers_than_fit_side_by_side_have_a_rest_and_are_held_as_they_are() {
     let plan = Plan::new(&scene(&lights, &group(16)), &scene(&brighter, &group(16)), &old);
     let (header, origin) = plan.after.last().unwrap();
     assert_eq!((header.name.as_str(), *origin, &*plan.changed), ("lamp-00", None, &[plan.after.len() - 1][..]));
+}
+
+/// Three blocks: a lamp in the first, another in the last, and what is left of both everywhere.
+#[test]
+fn a_relit_layer_changes_its_own_blocks_alone() {
+    let slots = 3 * BLOCK_SLOTS;
+    let (before, after) = (scene(&[("a", 1.0), ("b", 1.0)], &[]), scene(&[("a", 3.0), ("b", 1.0)], &[]));
+    let light = |block: Option<usize>| {
+        let is_lit = |slot: usize| block.is_none_or(|block| slot / BLOCK_SLOTS == block);
+        let value = |slot: usize, scale: f32| if is_lit(slot) { scale * (1.0 + (slot % 7) as f32) } else { 0.0 };
+        let values = |scale: f32| -> Vec<Vec3> { (0..slots).map(|slot| Vec3::splat(value(slot, scale))).collect() };
+        let variance = (0..slots).map(|slot| value(slot, 1e-3)).collect();
+        LightValues { direct: values(1.0), indirect: values(0.5), variance }
+    };
+    let named = map(&[("rest", &[]), ("a", &[("a", 1.0)]), ("b", &[("b", 1.0)])]).layers;
+    let with = |(layer, block): (&Arc<Layer>, Option<usize>)| {
+        Arc::new(Layer { light: light(block).into(), ..Layer::clone(layer) })
+    };
+    let layers: Vec<Arc<Layer>> = named.iter().zip([None, Some(0), Some(2)]).map(with).collect();
+    let weights = |scene: &Scene| LightMap { layers: layers.clone(), ..LightMap::default() }.layer_weights(scene);
+    let old = whole(layers.clone(), &weights(&before), 0.0);
+    let relit = whole_of(layers.clone(), &old, &before, &after);
+    let anew = whole(layers.clone(), &weights(&after), correlation(&old, &weights(&before)));
+    assert!(relit.light.direct == anew.light.direct && relit.light.indirect == anew.light.indirect);
+    let close = |a: f32, b: f32| (a - b).abs() <= 1e-5 * b;
+    for slot in 0..slots {
+        assert!(close(relit.light.variance[slot], anew.light.variance[slot]), "slot {slot}");
+        // The rest has this lamp at a third of its strength: it is off by twice itself at most.
+        let rest = 1.5 * (1.0 + (slot % 7) as f32);
+        if slot >= BLOCK_SLOTS {
+            assert!(close(relit.light.variance[slot], old.light.variance[slot] + 4.0 * rest * rest), "slot {slot}");
+        }
+    }
+    // And back.
+    let back = whole_of(layers, &relit, &after, &before);
+    assert_eq!(back.light.direct, old.light.direct);
+    for slot in 0..slots {
+        // What was added in between is taken out again, but for the last bits of it.
+        let difference = (back.light.variance[slot] - old.light.variance[slot]).abs();
+        assert!(difference <= 1e-5 * old.light.variance[slot] + 1e-6 * relit.light.variance[slot], "slot {slot}");
+    }
 }
