@@ -1,4 +1,4 @@
-//! Elements where light needs them, in two or three layouts: one to look at the light from, and those that it asks for.
+//! Elements where light needs them, in a few layouts: one to look at the light from, and those that it asks for.
 
 use std::sync::Arc;
 
@@ -19,8 +19,12 @@ const COARSEST: f32 = 2.5;
 /// a spacing apart.
 const MORE: f64 = 1.5;
 
-/// Elements by light are laid out again where they are not as many as they are to be, up to this part.
+/// Elements by light are laid out again where they are not as many as they are to be, up to this part, and so often at most.
 const NEAR: f64 = 0.05;
+const AGAIN: usize = 4;
+
+/// Least and greatest power of what is aimed at that the number of elements goes with, as two layouts tell it.
+const POWERS: (f64, f64) = (0.25, 2.0);
 
 /// Elements where light needs them: about as many as a spacing for all would have, and half as many more where that
 /// is not to be exceeded.
@@ -48,9 +52,26 @@ pub(super) fn laid_out_by_light(
         world = laid_out(scene.clone(), Resolution { sizing, ..resolution.clone() }, options, Some(&world))?;
         Ok::<_, WorldError>((world.clone(), world.element_count().saturating_sub(fixed) as f64))
     };
-    let (first, count) = by_light(goal)?;
-    let is_near = (count - goal).abs() <= NEAR * (goal + fixed as f64);
-    Ok(if is_near { first } else { by_light(goal * goal / count.max(1.0))?.0 })
+    let off = |count: f64| (count - goal).abs();
+    let (mut aim, mut power) = (goal, 1.0);
+    let (mut best, mut count) = by_light(aim)?;
+    let mut least = off(count);
+    for _ in 0..AGAIN {
+        if off(count) <= NEAR * (goal + fixed as f64) {
+            break;
+        }
+        let (last, there) = (aim, count.max(1.0));
+        aim *= (goal / there).powf(1.0 / power);
+        let world;
+        (world, count) = by_light(aim)?;
+        // What is there whatever the aim is told apart by two of them.
+        let told = (count.max(1.0) / there).ln() / (aim / last).ln();
+        power = if told.is_finite() { told.clamp(POWERS.0, POWERS.1) } else { 1.0 };
+        if off(count) < least {
+            (best, least) = (world, off(count));
+        }
+    }
+    Ok(best)
 }
 
 /// Elements that the objects of a world would have at one density.
