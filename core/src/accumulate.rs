@@ -91,9 +91,10 @@ impl<V: Value> Accumulator<V> {
         if self.rounds == 0 {
             return;
         }
-        let has_light = |slot: usize| self.squares[slot] > 0.0 || self.light(slot) != V::default();
         let slots = (0..self.squares.len()).into_par_iter().with_min_len(CHUNK);
-        let has_light: Vec<bool> = slots.clone().map(has_light).collect();
+        let is_lit = |slot: usize| self.squares[slot] > 0.0 || self.light(slot) != V::default();
+        // A first round scatters about nothing: nobody asks then.
+        let has_light: Vec<bool> = if self.rounds > 1 { slots.clone().map(is_lit).collect() } else { Vec::new() };
         let freedom = (self.rounds - 1) as f32;
         let scatter = self.scatter();
         let square = |light: Vec3, factor: f32| factor * light.length_squared() / 3.0;

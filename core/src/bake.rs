@@ -276,8 +276,7 @@ impl Baker {
         world.validity.fill(&mut residual);
         let missing = exchange.to_representatives(&self.subset, &exchange.further_bounces(&residual));
         for_slots(&self.slots, indirect, |slot, light| *light = bounces[slot as usize] + residual[slot as usize]);
-        let is_computed = |slot: u32| world.areas()[slot as usize] > 0.0 && world.is_valid(slot as usize);
-        self.subset.add_where(is_computed, &missing, indirect);
+        self.subset.add_where(|slot| world.is_computed(slot as usize), &missing, indirect);
         Ok(())
     }
 

@@ -38,6 +38,10 @@ pub(crate) fn scatter_of_neighbours<L: Linear, T: Linear>(
                 }
                 square(light(first + element) - sum / count, count / (count + 1.0))
             };
+            // Where an edit changes nothing, nothing scatters.
+            if own.clone().into_par_iter().with_min_len(CHUNK).all(|slot| light(slot) == L::default()) {
+                continue;
+            }
             let squares: Vec<T> = (0..own.len()).into_par_iter().with_min_len(CHUNK).map(square).collect();
             let pooled = |(element, variance): (usize, &mut T)| {
                 let around = neighbours(element).map(|slot| squares[slot - first]);

@@ -63,19 +63,21 @@ impl Subset {
         subset
     }
 
-    /// Per slot: whether it is a representative that some of `wanted` are interpolated from.
+    /// Per slot: whether it is a representative that some of `wanted`, ascending, are interpolated from.
     pub(crate) fn needed_by(&self, wanted: &[u32], slots: usize) -> Vec<bool> {
-        let mut is_wanted = vec![false; slots];
-        wanted.iter().for_each(|&slot| is_wanted[slot as usize] = true);
         let mut needed = vec![false; slots];
+        let index = |slot: u32| wanted.partition_point(|&other| other < slot);
         for side in &self.sides {
-            for element in 0..side.placed.layout.len() as u32 {
-                if is_wanted[(side.first_slot + element) as usize] {
-                    side.entries_of(element).for_each(|(i, _)| needed[self.slots[i] as usize] = true);
-                }
+            let own = side.first_slot..side.first_slot + side.placed.layout.len() as u32;
+            let own = &wanted[index(own.start)..index(own.end)];
+            let mut need = |i: usize| needed[self.slots[i] as usize] = true;
+            for slot in own {
+                side.entries_of(slot - side.first_slot).for_each(|(i, _)| need(i));
             }
-            let alone = side.alone.iter().filter(|(element, _)| is_wanted[(side.first_slot + element) as usize]);
-            alone.for_each(|&(_, i)| needed[self.slots[i as usize] as usize] = true);
+            let is_wanted = |element: &u32| own.binary_search(&(side.first_slot + element)).is_ok();
+            if !own.is_empty() {
+                side.alone.iter().filter(|(element, _)| is_wanted(element)).for_each(|&(_, i)| need(i as usize));
+            }
         }
         needed
     }
@@ -94,20 +96,16 @@ impl Subset {
         cells
     }
 
-    /// m² of the elements that are interpolated from each representative, by weight.
+    /// m² of the elements that are interpolated from each representative, by weight, as if all of them were computed and
+    /// nothing stood between them.
     pub(crate) fn areas(&self, world: &World) -> Vec<f32> {
-        let of_side = |side: &Side| {
-            let first = side.members.start;
-            let mut areas = vec![0.0; side.members.len()];
-            let element_area = |element: u32| world.areas()[(side.first_slot + element) as usize];
-            for element in 0..side.placed.layout.len() as u32 {
-                let area = element_area(element);
-                side.entries_of(element).for_each(|(i, weight)| areas[i - first] += area * weight);
-            }
-            side.alone.iter().for_each(|&(element, i)| areas[i as usize - first] += element_area(element));
+        let of_side = |side: &'_ Side| {
+            let computed = side.index.iter().zip(&side.placed.coarse.areas).filter(|(index, _)| **index != NONE);
+            let mut areas: Vec<f32> = computed.map(|(_, area)| *area).collect();
+            areas.extend(side.alone.iter().map(|(element, _)| world.areas()[(side.first_slot + element) as usize]));
             areas
         };
-        self.sides.par_iter().flat_map_iter(of_side).collect()
+        self.sides.iter().flat_map(of_side).collect()
     }
 
     /// Bytes of its own; surfaces and their weights belong to the world.
@@ -151,10 +149,7 @@ impl Side {
         let elements = placed.layout.len() as u32;
         let first_slot = placed.placement.elements.start + if back { elements } else { 0 };
         let hidden = world.sight.get(&placed.key).cloned().unwrap_or_default();
-        let computed = |element: u32| {
-            let slot = (first_slot + element) as usize;
-            world.areas()[slot] > 0.0 && world.validity.is_valid(slot)
-        };
+        let computed = |element: u32| world.is_computed((first_slot + element) as usize);
         let mut slots = Vec::with_capacity(coarse.representatives.len());
         let mut index = Vec::with_capacity(coarse.representatives.len());
         let mut complete = hidden.is_empty();
@@ -222,6 +217,9 @@ impl Side {
 
     /// Adds the values of its elements to the beginning of `out`.
     fn add_where<V: Value>(&self, is_wanted: &(impl Fn(u32) -> bool + Sync), values: &[V], out: &mut [V]) {
+        if values[self.members.clone()].iter().all(|value| *value == V::default()) {
+            return;
+        }
         let out = &mut out[..self.placed.layout.len()];
         let is_wanted = |element: u32| is_wanted(self.first_slot + element);
         out.par_iter_mut().enumerate().with_min_len(CHUNK).for_each(|(element, out)| {

@@ -93,22 +93,29 @@ impl Spots {
 
     /// The spots of a light map, irradiance / π per slot, by what each layer weighs.
     pub(crate) fn of_map<V: Value>(world: &World, light: &[V], weights: &[Vec3]) -> Option<Spots> {
-        Spots::of_most(world, light, weights, WORTHWHILE)
+        Spots::of_most(world, light, weights, (WORTHWHILE, false))
     }
 
-    /// The spots of a change: where nearly all of it is in few places.
+    /// The spots of a change: where nearly all of it is in few of the places that change.
     pub(crate) fn of_change<V: Value>(world: &World, light: &[V], weights: &[Vec3]) -> Option<Spots> {
-        Spots::of_most(world, light, weights, EXTREME)
+        Spots::of_most(world, light, weights, (EXTREME, true))
     }
 
-    /// The spots where bright places have at least so much of all squared light; `None` elsewhere.
-    fn of_most<V: Value>(world: &World, light: &[V], weights: &[Vec3], least: f64) -> Option<Spots> {
+    /// The spots where bright places have at least so much of all squared light; `None` elsewhere. Whether places that are
+    /// black count for nothing: what an edit does not reach must not make all that it does reach a bright spot.
+    fn of_most<V: Value>(
+        world: &World,
+        light: &[V],
+        weights: &[Vec3],
+        (least, without_black): (f64, bool),
+    ) -> Option<Spots> {
         let amount = |light: V| light.weighted(weights).abs();
         let amounts: Vec<f32> = light.par_iter().with_min_len(CHUNK).map(|l| amount(*l).element_sum()).collect();
         let places = || {
             let areas = |first: usize, count: usize| world.areas().range(first..first + count).copied();
+            let counts = move |(_, amount): &(f32, f32)| !without_black || *amount > 0.0;
             let chunks = amounts.par_chunks(CHUNK).enumerate();
-            chunks.map(move |(k, amounts)| areas(k * CHUNK, amounts.len()).zip(amounts.iter().copied()))
+            chunks.map(move |(k, amounts)| areas(k * CHUNK, amounts.len()).zip(amounts.iter().copied()).filter(counts))
         };
         let limit = limit(places());
         (share_of_bright(places(), limit) > least).then_some(())?;
@@ -322,6 +329,19 @@ mod tests {
         assert!(Spots::of_map(&world, &light(&world, 0.0), &[Vec3::ZERO]).is_none());
         // A change may be negative.
         assert!(Spots::of_map(&world, &light(&world, -500.0), &[Vec3::ONE]).is_some());
+    }
+
+    /// A change of one kind everywhere that it reaches is no spot, however little that is of a house.
+    #[test]
+    fn what_a_change_does_not_reach_makes_no_spot_of_the_rest() {
+        let world = room();
+        let is_reached = |p: &Vec3| p.y < 0.01 && p.distance(Vec3::new(0.6, 0.0, 0.6)) < 0.3;
+        let change = |there: f32, elsewhere: f32| -> Vec<Vec3> {
+            let of = |p: &Vec3| Vec3::splat(if is_reached(p) { there } else { elsewhere });
+            world.positions().iter().map(of).collect()
+        };
+        assert!(Spots::of_change(&world, &change(200.0, 0.0), &[Vec3::ONE]).is_none());
+        assert!(Spots::of_change(&world, &change(200.0, 0.1), &[Vec3::ONE]).is_some());
     }
 
     /// As often as cells are aimed at: the density that the balance heuristic knows.

@@ -20,7 +20,7 @@ const CHUNK: usize = 4096;
 const CLUSTERS: usize = 32;
 
 /// Places at most that clusters are made of, of those that have changed most and of the others.
-const PLACES: usize = 1 << 14;
+const PLACES: usize = 1 << 12;
 
 /// A usual albedo, to guess bounces with.
 pub(super) const ALBEDO: f32 = 0.5;

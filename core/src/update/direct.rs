@@ -1,6 +1,7 @@
 //! ΔD: the change of light that arrives straight from lights, on unchanged elements.
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::extent::Extent;
 use crate::bvh::Ray;
@@ -11,6 +12,12 @@ use crate::solve::Subset;
 use crate::transport::{DirectLight, Work};
 use crate::value::Value;
 use crate::world::{Emitter, Shape, Transition, Trees, World};
+
+/// Elements that are asked together whether anything can change there; neighbours, mostly.
+const BLOCK: usize = 64;
+
+/// Spheres are larger by this part of their radius than they are told to be.
+const INEXACT: f32 = 1e-3;
 
 /// One light in both worlds.
 struct Pair<'a> {
@@ -76,11 +83,40 @@ impl<'a> DirectChange<'a> {
         }
         let change = self.change(samples, seed);
         if extent.is_fine() {
-            return work.add(&extent.fine, out, change);
+            return work.add(&self.may_change(&extent.fine), out, change);
         }
         let found = |slots: &[u32]| work.map(slots, |_, slot, rays| change(slot, rays));
         extent.add(subset, &found(&extent.fine)?, &found(&extent.representatives)?, out);
         Ok(())
+    }
+
+    /// Those of some slots whose direct light may change, and perhaps some beside them.
+    fn may_change(&self, slots: &[u32]) -> Vec<u32> {
+        let positions = self.transition.after.positions();
+        let may_change = |slots: &&[u32]| {
+            let at = slots.iter().map(|&slot| positions[slot as usize]);
+            let (low, high) = at.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| (l.min(p), h.max(p)));
+            let around = (low.midpoint(high), 0.5 * low.distance(high));
+            self.pairs.iter().any(|pair| self.may_reach(pair, around))
+        };
+        slots.par_chunks(BLOCK).filter(may_change).flat_map_iter(|slots| slots.iter().copied()).collect()
+    }
+
+    /// Whether what changes of a light can be seen within a sphere.
+    fn may_reach(&self, pair: &Pair, (point, radius): (Vec3, f32)) -> bool {
+        if pair.before != pair.after {
+            return true;
+        }
+        if matches!(pair.emitter.shape, Shape::Sky(_)) || pair.before == Vec3::ZERO {
+            return false;
+        }
+        let Some((center, size)) = self.sphere else { return false };
+        let Some((light, light_radius)) = pair.emitter.sphere() else { return true };
+        // All that is between two spheres is within the larger radius about the line between their centers.
+        let (way, to_object) = (light - point, center - point);
+        let along = (to_object.dot(way) / way.length_squared().max(f32::MIN_POSITIVE)).clamp(0.0, 1.0);
+        let reach = (size + radius.max(light_radius)) * (1.0 + INEXACT);
+        (to_object - way * along).length_squared() <= reach * reach
     }
 
     /// ΔD of an element.
@@ -156,4 +192,65 @@ fn left(trees: Option<&Trees>, ray: &Ray, rays: &mut u64) -> Vec3 {
         *rays += 1;
         trees.transmittance(ray)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use glam::{DMat4, DVec3};
+
+    use super::*;
+    use crate::edit::Edit;
+    use crate::scene::{Light, LightKind, Material, Mesh, Object, Scene};
+    use crate::world::WorldOptions;
+
+    /// Three rooms in a row that doors join, a lamp with an extent in the first, and one without in the last.
+    fn house() -> World {
+        let grey = || Material::diffuse(Vec3::splat(0.5));
+        let mut objects = Vec::new();
+        for (k, x) in [0.0, 3.0, 6.0].into_iter().enumerate() {
+            let (low, high) = (Vec3::new(x, 0.0, 0.0), Vec3::new(x + 3.0, 2.5, 3.0));
+            objects.push(Object::new(format!("floor {k}"), Mesh::quad(low, Vec3::Z * 3.0, Vec3::X * 3.0), grey()));
+            let wall = Mesh::cuboid(Vec3::new(high.x - 0.1, 0.0, 0.0), Vec3::new(high.x, 2.5, 2.2));
+            objects.push(Object::new(format!("wall {k}"), wall, grey()));
+            let chest = Mesh::cuboid(low + Vec3::new(0.4, 0.0, 0.5), low + Vec3::new(0.9, 0.6, 1.2));
+            objects.push(Object::new(format!("chest {k}"), chest, grey()));
+        }
+        let panel = Mesh::quad(Vec3::new(1.0, 2.4, 1.0), Vec3::X * 0.5, Vec3::Z * 0.5);
+        objects.push(Object::new("panel", panel, Material::emissive(Vec3::splat(5.0))));
+        let kind = LightKind::Point { position: DVec3::new(7.5, 2.0, 1.5), range: None };
+        let bulb = Light { name: "bulb".into(), kind, color: Vec3::ONE, intensity: 3.0 };
+        let options = WorldOptions { spacing: Some(0.1), ..WorldOptions::default() };
+        World::new(Scene::from_objects(objects).with_light(bulb), &options).expect("a house")
+    }
+
+    /// Where nothing is asked, nothing changes.
+    #[test]
+    fn direct_light_changes_nowhere_but_where_it_may() {
+        let world = house();
+        for (at, size) in [(DVec3::new(0.9, 0.0, 1.4), 0.4), (DVec3::new(7.0, 1.0, 1.0), 0.3), (DVec3::ZERO, 1.5)] {
+            let mesh = Mesh::cuboid(Vec3::ZERO, Vec3::splat(size));
+            let inserted = Object::new("crate", mesh, Material::diffuse(Vec3::splat(0.5)));
+            let (asset, transform) = (Arc::new(Scene::from_objects(vec![inserted])), DMat4::from_translation(at));
+            let edit = Edit::Insert { asset, name: "crate".into(), transform };
+            let transition = world.apply(&[edit]).expect("an edit");
+            let direct = DirectChange::new(&transition);
+            let all = transition.after.computed_slots();
+            let asked = direct.may_change(&all);
+            let mut is_asked = vec![false; transition.after.slots()];
+            asked.iter().for_each(|&slot| is_asked[slot as usize] = true);
+            assert!(asked.len() < all.len() / 2, "{} of {}", asked.len(), all.len());
+            let mut changed = 0;
+            for seed in 0..4 {
+                let change = direct.change::<Vec3>(4, seed);
+                for &slot in &all {
+                    let differs = change(slot, &mut 0) != Vec3::ZERO;
+                    assert!(!differs || is_asked[slot as usize], "slot {slot}");
+                    changed += u32::from(differs);
+                }
+            }
+            assert!(changed > 20, "{changed}");
+        }
+    }
 }

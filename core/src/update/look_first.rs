@@ -5,6 +5,7 @@
 use std::sync::Arc;
 
 use super::extent::Extent;
+use super::propagate::Seen;
 use super::updater::{Extents, Prior, Updater};
 use crate::accumulate::Accumulator;
 use crate::focus::Focus;
@@ -88,10 +89,8 @@ impl<V: Solvable> Estimator<V> for Look<'_, V> {
         out.clone_from(parts);
         updater.straight(round, &self.seen, &self.new_slots, &mut out.direct)?;
         updater.arriving(round, &self.seen, (&*self.new_slots, new_slots.as_deref()), guide.spots.as_ref(), out)?;
-        let (change, known) = (updater.change(out), Some((&self.rows, &**bounces)));
-        let mut fresh = updater.propagate(change, round, &guide.aims, known, &self.seen.source.fine)?;
-        let unseen = self.is_seen.iter().zip(fresh.iter_mut().zip(bounces.iter())).filter(|(seen, _)| !**seen);
-        unseen.for_each(|(_, (fresh, known))| *fresh = *known);
+        let known = Seen { rows: &self.rows, bounces, is_seen: &self.is_seen };
+        let fresh = updater.propagate(updater.change(out), round, &guide.aims, Some(&known), &self.seen.source.fine)?;
         out.add_indirect(&fresh);
         updater.buffers.give(fresh);
         Ok(())
@@ -136,7 +135,9 @@ impl<V: Solvable> Updater<'_, V> {
             direct: Extent::only(&unchanged_slots, &self.subset, slots, |_| true),
             source: Extent::only(&unchanged_slots, &self.subset, slots, is_near),
         };
-        let needed = self.subset.needed_by(&[unchanged_slots, new_slots.clone()].concat(), slots);
+        let mut wanted = [&*unchanged_slots, &*new_slots].concat();
+        wanted.sort_unstable();
+        let needed = self.subset.needed_by(&wanted, slots);
         let rows = Arc::new(Rows::only(&self.subset, |slot| needed[slot as usize]));
         let count = is_seen.iter().filter(|seen| **seen).count();
         let is_large = count as f64 > LARGE * self.world.element_count() as f64;

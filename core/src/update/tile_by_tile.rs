@@ -66,8 +66,10 @@ impl<V: Solvable> Updater<'_, V> {
             Some(focus) => focus.keys(world, &places),
             None => self.bounds(&places),
         };
-        let computed = |slot: usize| world.areas()[slot] > 0.0 && world.is_valid(slot);
-        keys.iter_mut().enumerate().filter(|(slot, _)| !computed(*slot)).for_each(|(_, key)| *key = f32::INFINITY);
+        keys.iter_mut()
+            .enumerate()
+            .filter(|(slot, _)| !world.is_computed(*slot))
+            .for_each(|(_, key)| *key = f32::INFINITY);
         keys
     }
 

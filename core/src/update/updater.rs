@@ -78,9 +78,10 @@ impl<'a, V: Solvable> Updater<'a, V> {
         let world = &transition.after;
         let mut is_new = vec![false; world.slots()];
         transition.new_slots.iter().for_each(|&slot| is_new[slot as usize] = true);
-        let unchanged_slots: Vec<u32> = world.computed_slots().into_iter().filter(|&i| !is_new[i as usize]).collect();
-        let mut is_unchanged = vec![false; world.slots()];
-        unchanged_slots.iter().for_each(|&slot| is_unchanged[slot as usize] = true);
+        let is_unchanged = |(slot, is_new): (usize, &bool)| !is_new && world.is_computed(slot);
+        let is_unchanged: Vec<bool> = is_new.par_iter().enumerate().with_min_len(CHUNK).map(is_unchanged).collect();
+        let slots = (0..world.slots() as u32).into_par_iter().with_min_len(CHUNK);
+        let unchanged_slots: Vec<u32> = slots.filter(|&slot| is_unchanged[slot as usize]).collect();
         let subset = Subset::new(world);
         let before_total = stage.old.total();
         let mut light: Vec<V> = transition.carry(&before_total);
@@ -110,11 +111,15 @@ impl<'a, V: Solvable> Updater<'a, V> {
 
     /// Area-weighted mean, over the slots that keep an old value, of the variance that the old map brings along.
     pub(super) fn carried_variance(&self) -> f64 {
-        self.mean_of(|slot| self.stage.old.variance(slot))
+        let old = &self.stage.old;
+        self.mean_of(|slot| old.variance(slot))
     }
 
-    fn mean_of(&self, value: impl Fn(usize) -> f32) -> f64 {
-        self.world.area_mean(self.unchanged_slots.iter().map(|&slot| slot as usize), |slot| f64::from(value(slot)))
+    fn mean_of(&self, value: impl Fn(usize) -> f32 + Sync) -> f64 {
+        let areas = self.world.areas();
+        let [sum, area] =
+            two_sums(&self.unchanged_slots, |slot| [f64::from(value(slot)), 1.0].map(|x| x * f64::from(areas[slot])));
+        if area > 0.0 { sum / area } else { 0.0 }
     }
 
     /// Element by element where `is_wanted` says so, and S only near the edit; elsewhere on the subset.
@@ -254,15 +259,13 @@ impl<'a, V: Solvable> Updater<'a, V> {
     /// Whether the change is so large beside the light that is left that a bake is the better update:
     /// what the subset gets wrong of it would show. The new slots' own light is no change.
     pub(super) fn outgrows_the_light(&self, LightValues { direct, indirect, .. }: &LightValues<V>) -> bool {
-        let (areas, guides, light) = (self.world.areas(), self.stage.guides, &self.light);
-        let (mut change, mut left) = (0.0f64, 0.0f64);
-        for &slot in &self.unchanged_slots {
-            let slot = slot as usize;
+        let (areas, light, Stage { guides, around, .. }) = (self.world.areas(), &self.light, self.stage);
+        let squares = |slot: usize| {
             let delta = (direct[slot] + indirect[slot]).weighted(guides);
-            let then = self.stage.around.map_or_else(|| light[slot].weighted(guides), |a| a[slot]) + delta;
-            change += f64::from(areas[slot]) * f64::from(delta.length_squared());
-            left += f64::from(areas[slot]) * f64::from(then.length_squared());
-        }
+            let then = around.map_or_else(|| light[slot].weighted(guides), |a| a[slot]) + delta;
+            [delta, then].map(|light| f64::from(areas[slot]) * f64::from(light.length_squared()))
+        };
+        let [change, left] = two_sums(&self.unchanged_slots, squares);
         change >= OUTGROWN * left && change > 0.0
     }
 
@@ -276,4 +279,12 @@ impl<'a, V: Solvable> Updater<'a, V> {
     pub(super) fn finish(&self, stack: &Stack<V>) -> LightMap {
         (self.stage.finish)(Apart::of_stack(stack, self.stage.weights.len()))
     }
+}
+
+/// Two sums over some slots, the same on any number of threads.
+fn two_sums(slots: &[u32], of: impl Fn(usize) -> [f64; 2] + Sync) -> [f64; 2] {
+    let add = |a: [f64; 2], b: [f64; 2]| [a[0] + b[0], a[1] + b[1]];
+    let of_chunk = |slots: &[u32]| slots.iter().map(|&slot| of(slot as usize)).fold([0.0; 2], add);
+    let sums: Vec<[f64; 2]> = slots.par_chunks(CHUNK).map(of_chunk).collect();
+    sums.into_iter().fold([0.0; 2], add)
 }

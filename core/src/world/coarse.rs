@@ -1,14 +1,16 @@
 //! Subset of an object's elements at which smooth light is evaluated, and the weights that carry values back to all.
 
-use std::collections::BTreeMap;
-
 use glam::{IVec3, Vec3};
+
+use crate::hash::FastMap;
 
 /// Representatives of one side of an object and, per element, the representatives it is interpolated from.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Coarse {
     /// Representatives, as indices of the object's elements.
     pub representatives: Vec<u32>,
+    /// m² of the elements that are interpolated from each, by weight.
+    pub areas: Vec<f32>,
     /// `offsets[i]..offsets[i + 1]` are the entries of element `i`.
     pub offsets: Vec<u32>,
     /// (index into `representatives`, weight); the weights of one element sum to 1.
@@ -40,19 +42,26 @@ fn cell_of(position: Vec3, normal: Vec3, radius: f32) -> Cell {
 impl Coarse {
     /// Chooses one representative per cell of `radius` metres.
     pub(crate) fn new(positions: &[Vec3], normals: &[Vec3], areas: &[f32], radius: f32) -> Coarse {
-        let mut cells: BTreeMap<Cell, Vec<u32>> = BTreeMap::new();
+        let mut cells: FastMap<Cell, Vec<u32>> = FastMap::default();
         for (i, (p, n)) in positions.iter().zip(normals).enumerate() {
             cells.entry(cell_of(*p, *n, radius)).or_default().push(i as u32);
         }
         let mut chosen: Vec<(u32, Cell)> =
             cells.iter().map(|(cell, members)| (nearest_to_mean(members, positions, areas), *cell)).collect();
-        // Side by side in the elements' spatial order: neighbours lie together.
+        // Side by side in the elements' spatial order, whatever that of the cells is: neighbours lie together.
         chosen.sort_unstable_by_key(|(element, cell)| (cell.0, *element));
-        let cell_index: BTreeMap<Cell, u32> = chosen.iter().map(|(_, cell)| *cell).zip(0..).collect();
-        let representatives = chosen.into_iter().map(|(element, _)| element).collect();
-        let mut coarse = Coarse { representatives, offsets: vec![0], entries: Vec::new(), reach: 0.0 };
+        let cell_index: FastMap<Cell, u32> = chosen.iter().map(|(_, cell)| *cell).zip(0..).collect();
+        let representatives: Vec<u32> = chosen.into_iter().map(|(element, _)| element).collect();
+        let of_each = vec![0.0; representatives.len()];
+        let mut coarse = Coarse { representatives, areas: of_each, offsets: vec![0], entries: Vec::new(), reach: 0.0 };
         for (p, n) in positions.iter().zip(normals) {
             coarse.push_entries(*p, *n, positions, normals, radius, &cell_index);
+        }
+        for (element, area) in (0..).zip(areas) {
+            let (first, end) = (coarse.offsets[element] as usize, coarse.offsets[element + 1] as usize);
+            for (r, weight) in &coarse.entries[first..end] {
+                coarse.areas[*r as usize] += area * weight;
+            }
         }
         coarse.entries.shrink_to_fit();
         coarse.offsets.shrink_to_fit();
@@ -66,7 +75,7 @@ impl Coarse {
         positions: &[Vec3],
         normals: &[Vec3],
         radius: f32,
-        cell_index: &BTreeMap<Cell, u32>,
+        cell_index: &FastMap<Cell, u32>,
     ) {
         let (side, x, y, z) = cell_of(p, n, radius);
         let mut found: Vec<(u32, f32)> = Vec::with_capacity(27);
@@ -127,6 +136,8 @@ impl Coarse {
 
     /// Bytes held.
     pub(crate) fn memory_bytes(&self) -> usize {
-        self.representatives.capacity() * 4 + self.offsets.capacity() * 4 + self.entries.capacity() * 8
+        (self.representatives.capacity() + self.areas.capacity()) * 4
+            + self.offsets.capacity() * 4
+            + self.entries.capacity() * 8
     }
 }

@@ -122,7 +122,6 @@ fn merged_tree<'a>(objects: impl Iterator<Item = &'a Placed>, openings: &Option<
 
 /// Slots that get their first value: of inserted objects, and of elements that were invalid. Ascending.
 fn new_slots(before: &World, after: &World, ranges: &[Range<u32>]) -> Vec<u32> {
-    let is_computed = |slot: u32| after.areas()[slot as usize] > 0.0 && after.validity.is_valid(slot as usize);
     let is_of_new = |slot: u32| ranges.iter().any(|range| range.contains(&slot));
     let inserted = ranges.iter().cloned().flatten();
     let uncovered = before.validity.invalid_of(&(0..u32::MAX)).iter().copied().filter(|&slot| {
@@ -130,7 +129,7 @@ fn new_slots(before: &World, after: &World, ranges: &[Range<u32>]) -> Vec<u32> {
             [&before.space.slots().owners, &after.space.slots().owners].map(|owners| owners.get(slot as usize));
         owners[0] == owners[1] && !is_of_new(slot)
     });
-    let mut slots: Vec<u32> = inserted.chain(uncovered).filter(|&slot| is_computed(slot)).collect();
+    let mut slots: Vec<u32> = inserted.chain(uncovered).filter(|&slot| after.is_computed(slot as usize)).collect();
     slots.sort_unstable();
     slots
 }

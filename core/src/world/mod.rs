@@ -269,14 +269,16 @@ impl World {
         sizing + space + self.trees.memory_bytes() + objects + self.scene.texture_bytes() + atlas
     }
 
-    /// Slots whose value is computed, in spatial order within objects.
+    /// Slots whose value is computed, ascending.
     pub(crate) fn computed_slots(&self) -> Vec<u32> {
-        let live = self.placed.par_iter().flat_map(|p| p.placement.elements.clone().into_par_iter().with_min_len(4096));
-        let is_computed = |&i: &u32| self.areas()[i as usize] > 0.0 && self.validity.is_valid(i as usize);
-        let mut slots: Vec<u32> = live.filter(is_computed).collect();
-        // Objects that were inserted late may lie in the slots of those that were removed.
-        slots.sort_unstable();
-        slots
+        let slots = (0..self.slots() as u32).into_par_iter().with_min_len(4096);
+        slots.filter(|&slot| self.is_computed(slot as usize)).collect()
+    }
+
+    /// Whether a slot has an element whose value is computed.
+    #[inline]
+    pub(crate) fn is_computed(&self, slot: usize) -> bool {
+        self.areas()[slot] > 0.0 && self.validity.is_valid(slot)
     }
 
     /// Where rays of an element start.
