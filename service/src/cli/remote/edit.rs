@@ -15,7 +15,7 @@ use super::{ServerArgs, interruptible, note_done, read_file, read_packed, wait_f
 
 const AFTER_HELP: &str = "\
 Prints the id of the job on standard output, all else on standard error.
-Options stand before the operation:
+Options stand before the operation or behind it:
   rebake edit $ID --wait insert chair.glb --at 1.5,0,2 --rotate-y 30
   rebake edit $ID --wait --target-rmse 0.01 remove 'chair*'
   rebake edit $ID relight lamp --intensity 2
