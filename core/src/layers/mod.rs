@@ -14,6 +14,7 @@ mod stack;
 #[cfg(test)]
 mod tests;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -47,6 +48,20 @@ pub(crate) fn weight_of(lights: &[LayerLight], scene: &Scene) -> Option<Vec3> {
     weight_of_changes(lights.iter().filter_map(|light| Some((light.reference, strength_of(scene, &light.name)?))))
 }
 
+/// `color × intensity` of lights by their names: of many layers each looks for its own.
+type Strengths<'s> = BTreeMap<&'s str, Vec3>;
+
+fn strengths_of(scene: &Scene) -> Strengths<'_> {
+    // Of several with one name the first counts, as everywhere.
+    scene.lights.iter().rev().map(|light| (light.name.as_str(), light.strength())).collect()
+}
+
+/// As [`weight_of`].
+fn weight_at(lights: &[LayerLight], strengths: &Strengths) -> Option<Vec3> {
+    let change = |light: &LayerLight| Some((light.reference, *strengths.get(light.name.as_str())?));
+    weight_of_changes(lights.iter().filter_map(change))
+}
+
 /// The factor, per channel, from the first to the second of all pairs; none where they differ in it.
 fn weight_of_changes(changes: impl Iterator<Item = (Vec3, Vec3)>) -> Option<Vec3> {
     let mut weight = [None::<f32>; 3];
@@ -72,13 +87,15 @@ pub(crate) fn strength_of(scene: &Scene, name: &str) -> Option<Vec3> {
 
 /// What the layers of some headers weigh in a scene.
 pub(crate) fn weights_of(headers: &[LayerHeader], scene: &Scene) -> Vec<Vec3> {
-    headers.iter().map(|header| weight_of(&header.lights, scene).unwrap_or(Vec3::ONE)).collect()
+    let strengths = strengths_of(scene);
+    headers.iter().map(|header| weight_at(&header.lights, &strengths).unwrap_or(Vec3::ONE)).collect()
 }
 
 impl LightMap {
     /// What every layer weighs in `scene`.
     pub fn layer_weights(&self, scene: &Scene) -> Vec<Vec3> {
-        self.layers.iter().map(|layer| weight_of(&layer.lights, scene).unwrap_or(Vec3::ONE)).collect()
+        let strengths = strengths_of(scene);
+        self.layers.iter().map(|layer| weight_at(&layer.lights, &strengths).unwrap_or(Vec3::ONE)).collect()
     }
 
     /// The layer of a light; none where the map has no layers, or none of that light.
@@ -208,8 +225,9 @@ pub(crate) fn whole_of(layers: Vec<Arc<Layer>>, old: &LightMap, before: &Scene, 
 /// Slots per task: two parts of it fit in the cache.
 const CHUNK: usize = 4096;
 
-/// So many slots tell a correlation.
+/// So many slots tell a correlation, and so many of a block.
 const CORRELATION_SLOTS: usize = 1 << 14;
+const OF_BLOCK: usize = 8;
 
 /// How much the errors of layers, which share their rays, have in common: 0 not at all, 1 they are the same, below 0
 /// they take from one another. From the variance of the whole, which was measured, and those of its layers.
@@ -225,17 +243,22 @@ pub(crate) fn correlation(map: &LightMap, weights: &[Vec3]) -> f64 {
     let of_rest = |slot| rest.map_or(0.0, |rest| off * off * rest::square_at(&rest.light, slot));
     // Few slots of many layers tell as much.
     let slots = (SIDE_BY_SIDE * CORRELATION_SLOTS / map.layers.len()).clamp(CORRELATION_SLOTS / 8, CORRELATION_SLOTS);
-    let step = map.len().div_ceil(slots).max(1);
-    for slot in (0..map.len()).step_by(step) {
-        let (mut sum, mut root) = (0.0, 0.0);
+    let step = (map.len() * OF_BLOCK).div_ceil(slots * BLOCK_SLOTS).max(1);
+    for index in (0..blocks_of(map.len())).step_by(step) {
+        let mut sums = [(0.0f32, 0.0f32); OF_BLOCK];
         for (layer, factor) in map.layers.iter().zip(&factors) {
-            let variance = AnyLight::Sparse(&layer.light).variance(slot) * factor;
-            sum += variance;
-            root += variance.sqrt();
+            let Some(block) = layer.light.block(index) else { continue };
+            for ((sum, root), variance) in sums.iter_mut().zip(block.variance.iter().step_by(BLOCK_SLOTS / OF_BLOCK)) {
+                *sum += variance * factor;
+                *root += (variance * factor).sqrt();
+            }
         }
-        measured += f64::from(map.light.variance[slot] - of_rest(slot));
-        independent += f64::from(sum);
-        equal += f64::from(root * root);
+        let slots = (index * BLOCK_SLOTS..map.len()).step_by(BLOCK_SLOTS / OF_BLOCK);
+        for (slot, (sum, root)) in slots.zip(sums) {
+            measured += f64::from(map.light.variance[slot] - of_rest(slot));
+            independent += f64::from(sum);
+            equal += f64::from(root * root);
+        }
     }
     // Layers that were set apart have errors of opposite sign in common.
     let least = -1.0 / (map.layers.len() - 1) as f64;

@@ -6,8 +6,8 @@ use glam::Vec3;
 
 use super::rest::{free_name, with_rest};
 use super::{
-    LayerHeader, LayerLight, MAX_GROUPS, MAX_LAYERS, REST_LAYER, SHARED_LAYER, SIDE_BY_SIDE, strength_of, weight_of,
-    weight_of_changes,
+    LayerHeader, LayerLight, MAX_GROUPS, MAX_LAYERS, REST_LAYER, SHARED_LAYER, SIDE_BY_SIDE, Strengths, strength_of,
+    strengths_of, weight_at, weight_of, weight_of_changes,
 };
 use crate::lightmap::LightMap;
 use crate::scene::Scene;
@@ -114,15 +114,17 @@ impl Plan {
         let mut plan = Plan::default();
         let old = headers_of(map, before);
         let mut quota = Quota::new(&old);
+        let lights =
+            Lights { before, after, strength_before: strengths_of(before), strength_after: strengths_of(after) };
         for (index, header) in old.iter().enumerate() {
             if header.is_rest() && !map.layers.is_empty() {
                 let pieces = vec![(Piece::Old(index), Vec3::ONE)];
                 plan.regrouped.push(Planned { header: header.clone(), pieces });
                 continue;
             }
-            plan.divide(index, header, before, after, &mut quota);
+            plan.divide(index, header, &lights, &mut quota);
         }
-        plan.assemble(before, after);
+        plan.assemble(&lights);
         if plan.after.len() > SIDE_BY_SIDE && !plan.after[0].0.is_rest() {
             plan.add_rest();
         }
@@ -138,9 +140,10 @@ impl Plan {
     }
 
     /// Puts the lights of an old layer where they belong.
-    fn divide(&mut self, index: usize, header: &LayerHeader, before: &Scene, after: &Scene, quota: &mut Quota) {
+    fn divide(&mut self, index: usize, header: &LayerHeader, lights: &Lights, quota: &mut Quota) {
+        let before = lights.before;
         let mut targets: BTreeMap<Target, Vec<LayerLight>> = BTreeMap::new();
-        for (light, target) in header.lights.iter().zip(targets_of(header, before, after, quota)) {
+        for (light, target) in header.lights.iter().zip(targets_of(header, lights, quota)) {
             targets.entry(target).or_default().push(light.clone());
         }
         let whole = targets.len() == 1;
@@ -206,16 +209,19 @@ impl Plan {
     }
 
     /// The layers after the edit.
-    fn assemble(&mut self, before: &Scene, after: &Scene) {
+    fn assemble(&mut self, lights: &Lights) {
+        let Lights { before, after, strength_before, strength_after } = lights;
+        let (kinds_before, kinds_after) = (kinds_of(before), kinds_of(after));
         for (index, planned) in self.regrouped.iter().enumerate() {
             let mut header = planned.header.clone();
-            header.lights.retain(|light| strength_of(after, &light.name).is_some());
+            header.lights.retain(|light| strength_after.contains_key(light.name.as_str()));
             if header.lights.is_empty() && !planned.header.lights.is_empty() {
                 continue;
             }
             let gone = header.lights.len() < planned.header.lights.len();
-            let uneven = weight_of(&header.lights, after).is_none();
-            let moved = header.lights.iter().any(|light| kind_of(before, &light.name) != kind_of(after, &light.name));
+            let uneven = weight_at(&header.lights, strength_after).is_none();
+            let is_moved = |name: &str| kinds_before.get(name) != kinds_after.get(name);
+            let moved = header.lights.iter().any(|light| is_moved(&light.name));
             if gone || uneven || moved {
                 self.changed.push(self.after.len());
             }
@@ -226,13 +232,13 @@ impl Plan {
             self.regrouped.iter().flat_map(|p| p.header.lights.iter().map(|light| light.name.clone())).collect();
         let comes = |light: &&crate::scene::Light| {
             let was_dark = !known.contains(&light.name) && light.strength() != Vec3::ZERO;
-            strength_of(before, &light.name).is_none() || was_dark
+            !strength_before.contains_key(light.name.as_str()) || was_dark
         };
         let came = after.lights.iter().filter(comes);
         let joined: BTreeSet<usize> =
             came.filter_map(|light| self.add_new(after, &light.name, light.strength())).collect();
         for (k, (header, origin)) in self.after.iter_mut().enumerate() {
-            if joined.contains(&k) || weight_of(&header.lights, after).is_none() {
+            if joined.contains(&k) || weight_at(&header.lights, strength_after).is_none() {
                 if let Some(index) = *origin {
                     self.regrouped[index].fold(before);
                 }
@@ -298,6 +304,14 @@ impl Planned {
     }
 }
 
+/// The lights before and after an edit.
+struct Lights<'a> {
+    before: &'a Scene,
+    after: &'a Scene,
+    strength_before: Strengths<'a>,
+    strength_after: Strengths<'a>,
+}
+
 /// How many layers there may be more, and which there are.
 struct Quota {
     left: usize,
@@ -324,11 +338,11 @@ impl Quota {
 }
 
 /// Where the lights of a layer go, in their order.
-fn targets_of(header: &LayerHeader, before: &Scene, after: &Scene, quota: &mut Quota) -> Vec<Target> {
-    let group =
-        |light: &LayerLight| after.groups.get(&light.name).filter(|_| strength_of(after, &light.name).is_some());
+fn targets_of(header: &LayerHeader, lights: &Lights, quota: &mut Quota) -> Vec<Target> {
+    let is_there = |light: &LayerLight| lights.strength_after.contains_key(light.name.as_str());
+    let group = |light: &LayerLight| lights.after.groups.get(&light.name).filter(|_| is_there(light));
     let stay: Vec<&LayerLight> = header.lights.iter().filter(|light| group(light).is_none()).collect();
-    let kept = lights_that_keep(&stay, before, after);
+    let kept = lights_that_keep(&stay, lights);
     let target = |light: &LayerLight| match group(light) {
         Some(group) if quota.take(group) => Target::Group(group.clone()),
         None if !kept.contains(&light.name) && quota.take(&light.name) => Target::Alone(light.name.clone()),
@@ -339,18 +353,18 @@ fn targets_of(header: &LayerHeader, before: &Scene, after: &Scene, quota: &mut Q
 
 /// Of lights that may change unlike one another, the names of those that stay together: those of the most common
 /// factor, and rather those that do not change. Lights that go stay with them.
-fn lights_that_keep(lights: &[&LayerLight], before: &Scene, after: &Scene) -> BTreeSet<String> {
-    let strengths = |scene: &Scene| -> BTreeMap<String, Vec3> {
-        scene.lights.iter().rev().map(|light| (light.name.clone(), light.strength())).collect()
-    };
-    let (then, now) = (strengths(before), strengths(after));
-    let change = |light: &LayerLight| now.get(&light.name).map(|now| (light.reference, *now));
+fn lights_that_keep(
+    lights: &[&LayerLight],
+    Lights { strength_before, strength_after, .. }: &Lights,
+) -> BTreeSet<String> {
+    let change = |light: &LayerLight| strength_after.get(light.name.as_str()).map(|after| (light.reference, *after));
     let fits = |light: &LayerLight, to: &LayerLight| {
         change(light).is_none_or(|light| weight_of_changes([Some(light), change(to)].into_iter().flatten()).is_some())
     };
     let fitting = |to: &LayerLight| lights.iter().filter(|light| fits(light, to)).count();
-    let is_steady = |light: &LayerLight| then.get(&light.name) == now.get(&light.name);
-    let candidates = lights.iter().filter(|light| now.contains_key(&light.name));
+    let is_steady =
+        |light: &LayerLight| strength_before.get(light.name.as_str()) == strength_after.get(light.name.as_str());
+    let candidates = lights.iter().filter(|light| strength_after.contains_key(light.name.as_str()));
     // The same change has the same lights: each is looked at once.
     let mut seen: Vec<(LayerLight, usize)> = Vec::new();
     let mut fitting = |to: &LayerLight| {
@@ -365,6 +379,10 @@ fn lights_that_keep(lights: &[&LayerLight], before: &Scene, after: &Scene) -> BT
     let best = candidates.max_by_key(|light| (fitting(light), is_steady(light)));
     let kept = lights.iter().filter(|light| best.is_none_or(|best| fits(light, best)));
     kept.map(|light| light.name.clone()).collect()
+}
+
+fn kinds_of(scene: &Scene) -> BTreeMap<&str, &crate::scene::LightKind> {
+    scene.lights.iter().rev().map(|light| (light.name.as_str(), &light.kind)).collect()
 }
 
 fn kind_of<'a>(scene: &'a Scene, name: &str) -> Option<&'a crate::scene::LightKind> {

@@ -73,12 +73,6 @@ impl<'a> AnyLight<'a> {
             AnyLight::Sparse(light) => light.block(block),
         }
     }
-
-    /// The variance of a slot.
-    #[inline]
-    pub(crate) fn variance(&self, slot: usize) -> f32 {
-        self.block(slot / BLOCK_SLOTS).map_or(0.0, |block| block.variance[slot % BLOCK_SLOTS])
-    }
 }
 
 impl LightValues {
@@ -315,7 +309,6 @@ mod tests {
             prop_assert_eq!(&*sparse.variance(), &*values.variance);
             for slot in 0..values.len() {
                 prop_assert_eq!(sparse.at(slot), (values.direct[slot], values.indirect[slot]));
-                prop_assert_eq!(AnyLight::Sparse(&sparse).variance(slot), AnyLight::Dense(&values).variance(slot));
             }
             let again = SparseLight::of_blocks(sparse.len(), sparse.blocks());
             prop_assert!(again == sparse);

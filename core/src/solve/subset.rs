@@ -99,7 +99,7 @@ impl Subset {
     /// m² of the elements that are interpolated from each representative, by weight, as if all of them were computed and
     /// nothing stood between them.
     pub(crate) fn areas(&self, world: &World) -> Vec<f32> {
-        let of_side = |side: &'_ Side| {
+        let of_side = |side: &Side| {
             let computed = side.index.iter().zip(&side.placed.coarse.areas).filter(|(index, _)| **index != NONE);
             let mut areas: Vec<f32> = computed.map(|(_, area)| *area).collect();
             areas.extend(side.alone.iter().map(|(element, _)| world.areas()[(side.first_slot + element) as usize]));

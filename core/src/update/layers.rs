@@ -60,8 +60,6 @@ pub(super) struct LayersUpdate<'a> {
     pub(super) plan: Plan,
     /// What the layers after the edit weigh.
     pub(super) weights: Vec<Vec3>,
-    /// What the errors of the old layers have in common.
-    correlation: f64,
     /// Rays are needed for all layers.
     needs_all: bool,
 }
@@ -77,8 +75,12 @@ impl<'a> LayersUpdate<'a> {
     ) -> LayersUpdate<'a> {
         let headers: Vec<LayerHeader> = plan.after.iter().map(|(header, _)| header.clone()).collect();
         let weights = weights_of(&headers, &transition.after.scene);
-        let correlation = correlation(map, &map.layer_weights(&transition.before.scene));
-        LayersUpdate { transition, map, goal, work, plan, weights, correlation, needs_all }
+        LayersUpdate { transition, map, goal, work, plan, weights, needs_all }
+    }
+
+    /// What the errors of the old layers have in common.
+    fn correlation(&self) -> f64 {
+        correlation(self.map, &self.map.layer_weights(&self.transition.before.scene))
     }
 
     fn run(&self) -> Result<Option<Updated>, Canceled> {
@@ -137,12 +139,12 @@ impl<'a> LayersUpdate<'a> {
     /// The old light, at reference strength, of the lights of `plan.leaving`. The map is published where nothing is
     /// left to do behind it.
     fn compute_leaving(&self, publishes: bool) -> Result<Option<Left>, Canceled> {
-        let last = RefCell::new(Vec::new());
+        let (last, correlation) = (RefCell::new(Vec::new()), self.correlation());
         let finish = |computed: Computed| {
             let pieces = self.pieces(&computed.layers);
             let is_new = |k: usize| self.map.rest().is_none() || !self.is_as_before(k);
             let layers = thinned(self.unchanged(&pieces.regroup()), is_new, &self.transition.after.scene);
-            let variance = pieces.variance(&self.weights, self.correlation);
+            let variance = pieces.variance(&self.weights, correlation);
             last.replace(computed.layers);
             let weights = self.weights_of(&layers);
             self.without_gone(whole_with(layers, &weights, variance), false)
@@ -203,6 +205,7 @@ impl<'a> LayersUpdate<'a> {
             origin.filter(|_| !changed.contains(&k)).map(|index| renamed(&regrouped[index], header))
         };
         let kept: Vec<Option<Arc<Layer>>> = self.plan.after.iter().enumerate().map(keep).collect();
+        let correlation = self.correlation();
         let finish = |computed: Computed| {
             let mut new = computed.layers.into_iter();
             let layers: Vec<Arc<Layer>> = kept.iter().filter_map(|k| k.clone().or_else(|| new.next())).collect();
@@ -211,7 +214,7 @@ impl<'a> LayersUpdate<'a> {
             let weights = self.weights_of(&layers);
             let map = match computed.variance.filter(|_| changed.len() == self.plan.after.len()) {
                 Some(variance) => whole_with(layers, &weights, variance),
-                None => whole(layers, &weights, self.correlation),
+                None => whole(layers, &weights, correlation),
             };
             self.without_gone(map, false)
         };
