@@ -44,6 +44,7 @@ mod preparing;
 mod probes;
 mod process;
 mod render;
+mod replicas;
 mod sample;
 mod scenes;
 mod server;
