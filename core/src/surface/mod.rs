@@ -16,7 +16,7 @@ pub use self::build::object_area;
 pub(crate) use self::build::{barycentrics, triangle_area};
 pub(crate) use self::corners::Corners;
 pub(crate) use self::facets::{Facet, Facets, facet_area};
-pub(crate) use self::place::{ROUNDED, moved_normals, moved_points, overlap};
+pub(crate) use self::place::{ROUNDED, bounds_of, moved_normals, moved_points, overlap};
 pub(crate) use self::see_through::SeeThrough;
 pub(crate) use self::weld::{MIN_COSINE, geometric_normal};
 

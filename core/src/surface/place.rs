@@ -4,6 +4,11 @@ use glam::{DMat4, Vec3};
 
 use super::{FileTriangle, Surface};
 
+/// The box around points: upside down where there are none.
+pub(crate) fn bounds_of(points: impl Iterator<Item = Vec3>) -> (Vec3, Vec3) {
+    points.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)))
+}
+
 /// Whether two boxes, low and high corners, have a point in common.
 #[inline]
 pub(crate) fn overlap(a: &(Vec3, Vec3), b: &(Vec3, Vec3)) -> bool {
@@ -25,7 +30,7 @@ impl Surface {
 
     /// Smallest and largest corner of all vertices, scene space, metres.
     pub fn bounds(&self) -> (Vec3, Vec3) {
-        self.positions.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)))
+        bounds_of(self.positions.iter().copied())
     }
 
     /// Longest side of the boxes of its triangles, metres: hits on them are as exact as this is small.

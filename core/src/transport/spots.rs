@@ -12,6 +12,7 @@ use rayon::prelude::*;
 
 use super::Surfel;
 use super::walk::is_near;
+use super::work::two_sums;
 use crate::bvh::Hit;
 use crate::sampling::{Discrete, uniform_barycentrics};
 use crate::space::Patch;
@@ -183,28 +184,17 @@ impl Spots {
 
 /// Amount from which on a place is bright, of chunks of places (area, amount).
 fn limit<I: Iterator<Item = (f32, f32)>>(places: impl IndexedParallelIterator<Item = I>) -> f32 {
-    let [area, power] = sums(places, |area, amount| [area, area * amount].map(f64::from));
+    let [area, power] = two_sums(places, |(area, amount)| [area, area * amount].map(f64::from));
     (BRIGHT * power / area) as f32
 }
 
 /// Part of Σ A x² that places above `limit` have.
 fn share_of_bright<I: Iterator<Item = (f32, f32)>>(places: impl IndexedParallelIterator<Item = I>, limit: f32) -> f64 {
-    let [all, bright] = sums(places, |area, amount| {
+    let [all, bright] = two_sums(places, |(area, amount)| {
         let square = f64::from(area) * f64::from(amount) * f64::from(amount);
         [square, if amount > limit { square } else { 0.0 }]
     });
     bright / all
-}
-
-/// Two sums over chunks of places, the same on any number of threads.
-fn sums<I: Iterator<Item = (f32, f32)>>(
-    places: impl IndexedParallelIterator<Item = I>,
-    of: impl Fn(f32, f32) -> [f64; 2] + Sync,
-) -> [f64; 2] {
-    let add = |a: [f64; 2], b: [f64; 2]| [a[0] + b[0], a[1] + b[1]];
-    let partials: Vec<[f64; 2]> =
-        places.map(|chunk| chunk.map(|(area, amount)| of(area, amount)).fold([0.0; 2], add)).collect();
-    partials.into_iter().fold([0.0; 2], add)
 }
 
 /// A bright side.

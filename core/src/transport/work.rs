@@ -118,6 +118,16 @@ pub(crate) fn blacken<V: Value>(light: &mut Vec<V>, slots: usize) {
     (0..slots).into_par_iter().with_min_len(LONG_CHUNK).map(|_| V::default()).collect_into_vec(light);
 }
 
+/// Two sums over chunks, the same on any number of threads.
+pub(crate) fn two_sums<C: IntoIterator>(
+    chunks: impl IndexedParallelIterator<Item = C>,
+    of: impl Fn(C::Item) -> [f64; 2] + Sync,
+) -> [f64; 2] {
+    let add = |a: [f64; 2], b: [f64; 2]| [a[0] + b[0], a[1] + b[1]];
+    let partials: Vec<[f64; 2]> = chunks.map(|chunk| chunk.into_iter().map(&of).fold([0.0; 2], add)).collect();
+    partials.into_iter().fold([0.0; 2], add)
+}
+
 /// Calls `f(slot, value)` for the values of some slots, ascending, in parallel.
 pub(crate) fn for_slots<T: Send>(slots: &[u32], values: &mut [T], f: impl Fn(u32, &mut T) + Sync) {
     pieces(slots, values, LONG_CHUNK).into_par_iter().for_each(|piece| piece.for_each(&f));

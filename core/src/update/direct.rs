@@ -9,6 +9,7 @@ use crate::job::Canceled;
 use crate::random::{Pcg32, R2, subseed};
 use crate::sampling::Spheres;
 use crate::solve::Subset;
+use crate::surface::bounds_of;
 use crate::transport::{DirectLight, Work};
 use crate::value::Value;
 use crate::world::{Emitter, Shape, Transition, Trees, World};
@@ -83,7 +84,7 @@ impl<'a> DirectChange<'a> {
         }
         let change = self.change(samples, seed);
         if extent.is_fine() {
-            return work.add(&self.may_change(&extent.fine), out, change);
+            return work.add(&extent.fine, out, change);
         }
         let found = |slots: &[u32]| work.map(slots, |_, slot, rays| change(slot, rays));
         extent.add(subset, &found(&extent.fine)?, &found(&extent.representatives)?, out);
@@ -91,11 +92,10 @@ impl<'a> DirectChange<'a> {
     }
 
     /// Those of some slots whose direct light may change, and perhaps some beside them.
-    fn may_change(&self, slots: &[u32]) -> Vec<u32> {
+    pub(super) fn may_change(&self, slots: &[u32]) -> Vec<u32> {
         let positions = self.transition.after.positions();
         let may_change = |slots: &&[u32]| {
-            let at = slots.iter().map(|&slot| positions[slot as usize]);
-            let (low, high) = at.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| (l.min(p), h.max(p)));
+            let (low, high) = bounds_of(slots.iter().map(|&slot| positions[slot as usize]));
             let around = (low.midpoint(high), 0.5 * low.distance(high));
             self.pairs.iter().any(|pair| self.may_reach(pair, around))
         };

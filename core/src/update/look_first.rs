@@ -132,7 +132,7 @@ impl<V: Solvable> Updater<'_, V> {
         let (slots, is_near) = (self.world.slots(), self.source.is_near());
         let (unchanged_slots, new_slots) = (seen(&self.unchanged_slots), seen(&self.transition.new_slots));
         let extents = Extents {
-            direct: Extent::only(&unchanged_slots, &self.subset, slots, |_| true),
+            direct: Extent::only(&seen(&self.direct_slots), &self.subset, slots, |_| true),
             source: Extent::only(&unchanged_slots, &self.subset, slots, is_near),
         };
         let mut wanted = [&*unchanged_slots, &*new_slots].concat();

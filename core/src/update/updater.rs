@@ -15,7 +15,7 @@ use crate::layers::{Apart, Stack};
 use crate::lightmap::{LightMap, LightValues};
 use crate::rounds::{First, Round};
 use crate::solve::{Rows, Solvable, Subset};
-use crate::transport::{Spots, Work};
+use crate::transport::{Spots, Work, two_sums};
 use crate::world::{Transition, World};
 
 /// Slots per task.
@@ -43,6 +43,8 @@ pub(super) struct Updater<'a, V> {
     pub(super) before_total: Vec<V>,
     /// Computed elements that keep an old value.
     pub(super) unchanged_slots: Vec<u32>,
+    /// Those of them whose direct light may change; that of the others stays.
+    pub(super) direct_slots: Vec<u32>,
     /// Whether a slot is among `unchanged_slots`.
     pub(super) is_unchanged: Vec<bool>,
     pub(super) subset: Subset,
@@ -82,6 +84,7 @@ impl<'a, V: Solvable> Updater<'a, V> {
         let is_unchanged: Vec<bool> = is_new.par_iter().enumerate().with_min_len(CHUNK).map(is_unchanged).collect();
         let slots = (0..world.slots() as u32).into_par_iter().with_min_len(CHUNK);
         let unchanged_slots: Vec<u32> = slots.filter(|&slot| is_unchanged[slot as usize]).collect();
+        let direct = direct::DirectChange::new(transition);
         let subset = Subset::new(world);
         let before_total = stage.old.total();
         let mut light: Vec<V> = transition.carry(&before_total);
@@ -95,10 +98,11 @@ impl<'a, V: Solvable> Updater<'a, V> {
             before_total,
             rows: Arc::new(Rows::all(&subset)),
             source: source::SourceTerm::new(transition),
+            direct_slots: direct.may_change(&unchanged_slots),
             unchanged_slots,
             is_unchanged,
             subset,
-            direct: direct::DirectChange::new(transition),
+            direct,
             repaint: transition.repaints_anything().then(|| transition.repaint()),
             buffers: Buffers::new(),
         }
@@ -117,8 +121,11 @@ impl<'a, V: Solvable> Updater<'a, V> {
 
     fn mean_of(&self, value: impl Fn(usize) -> f32 + Sync) -> f64 {
         let areas = self.world.areas();
-        let [sum, area] =
-            two_sums(&self.unchanged_slots, |slot| [f64::from(value(slot)), 1.0].map(|x| x * f64::from(areas[slot])));
+        let of_slot = |&slot: &u32| {
+            let area = f64::from(areas[slot as usize]);
+            [area * f64::from(value(slot as usize)), area]
+        };
+        let [sum, area] = two_sums(self.unchanged_slots.par_chunks(CHUNK), of_slot);
         if area > 0.0 { sum / area } else { 0.0 }
     }
 
@@ -127,7 +134,7 @@ impl<'a, V: Solvable> Updater<'a, V> {
         let is_near = self.source.is_near();
         let slots = self.world.slots();
         Extents {
-            direct: Extent::new(&self.unchanged_slots, &self.subset, slots, &is_wanted),
+            direct: Extent::new(&self.direct_slots, &self.subset, slots, &is_wanted),
             source: Extent::new(&self.unchanged_slots, &self.subset, slots, |slot| is_wanted(slot) && is_near(slot)),
         }
     }
@@ -260,12 +267,13 @@ impl<'a, V: Solvable> Updater<'a, V> {
     /// what the subset gets wrong of it would show. The new slots' own light is no change.
     pub(super) fn outgrows_the_light(&self, LightValues { direct, indirect, .. }: &LightValues<V>) -> bool {
         let (areas, light, Stage { guides, around, .. }) = (self.world.areas(), &self.light, self.stage);
-        let squares = |slot: usize| {
+        let squares = |&slot: &u32| {
+            let slot = slot as usize;
             let delta = (direct[slot] + indirect[slot]).weighted(guides);
             let then = around.map_or_else(|| light[slot].weighted(guides), |a| a[slot]) + delta;
             [delta, then].map(|light| f64::from(areas[slot]) * f64::from(light.length_squared()))
         };
-        let [change, left] = two_sums(&self.unchanged_slots, squares);
+        let [change, left] = two_sums(self.unchanged_slots.par_chunks(CHUNK), squares);
         change >= OUTGROWN * left && change > 0.0
     }
 
@@ -279,12 +287,4 @@ impl<'a, V: Solvable> Updater<'a, V> {
     pub(super) fn finish(&self, stack: &Stack<V>) -> LightMap {
         (self.stage.finish)(Apart::of_stack(stack, self.stage.weights.len()))
     }
-}
-
-/// Two sums over some slots, the same on any number of threads.
-fn two_sums(slots: &[u32], of: impl Fn(usize) -> [f64; 2] + Sync) -> [f64; 2] {
-    let add = |a: [f64; 2], b: [f64; 2]| [a[0] + b[0], a[1] + b[1]];
-    let of_chunk = |slots: &[u32]| slots.iter().map(|&slot| of(slot as usize)).fold([0.0; 2], add);
-    let sums: Vec<[f64; 2]> = slots.par_chunks(CHUNK).map(of_chunk).collect();
-    sums.into_iter().fold([0.0; 2], add)
 }

@@ -10,6 +10,7 @@ use crate::bvh::Ray;
 use crate::random::Pcg32;
 use crate::sampling::cosine_hemisphere;
 use crate::space::Patch;
+use crate::surface::bounds_of;
 
 /// First a few rays; elements that meet a back are asked again with all.
 const FIRST_RAYS: u32 = 6;
@@ -163,8 +164,7 @@ fn asked(world: &World, placed: &Placed, touched: Touched) -> Option<Asked> {
         });
         let elements: BTreeSet<u32> = touched.into_iter().flatten().collect();
         let around = elements.iter().flat_map(|&element| placed.layout.neighbours_of(element));
-        let grow = |(low, high): (Vec3, Vec3), p: Vec3| (low.min(p), high.max(p));
-        let grown = around.map(|&element| at(element)).fold((Vec3::INFINITY, Vec3::NEG_INFINITY), grow);
+        let grown = bounds_of(around.map(|&element| at(element)));
         (elements, grown)
     };
     let (elements, boxes): (Vec<BTreeSet<u32>>, Vec<_>) = boxes.iter().map(of_box).unzip();

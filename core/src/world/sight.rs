@@ -12,7 +12,7 @@ use super::{Placed, World};
 use crate::bits::Bits;
 use crate::bvh::Ray;
 use crate::space::{Patch, ray_offset};
-use crate::surface::{ROUNDED, overlap};
+use crate::surface::{ROUNDED, bounds_of, overlap};
 
 /// Height above the surface at which sight is asked for, in spacings.
 const LIFT: f32 = 0.05;
@@ -193,9 +193,7 @@ fn cells_at(world: &World, placed: &Placed, slots: &[u32]) -> Vec<(u32, bool)> {
     if own.is_empty() {
         return Vec::new();
     }
-    let grow = |(low, high): (Vec3, Vec3), p: Vec3| (low.min(p), high.max(p));
-    let at = own.iter().map(|&slot| world.positions()[slot as usize]);
-    let around = at.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), grow);
+    let around = bounds_of(own.iter().map(|&slot| world.positions()[slot as usize]));
     placed.layout.of_cells_in(&placed.surface, &[around], |patch| {
         let is_own = |slot: u32| own.binary_search(&slot).is_ok();
         let at = placed.sides().any(|side| patch.elements.iter().any(|e| is_own(side.start + e)));
