@@ -91,11 +91,16 @@ pub(crate) fn weights_of(headers: &[LayerHeader], scene: &Scene) -> Vec<Vec3> {
     headers.iter().map(|header| weight_at(&header.lights, &strengths).unwrap_or(Vec3::ONE)).collect()
 }
 
+/// What layers weigh in a scene.
+pub(crate) fn weights_of_layers(layers: &[Arc<Layer>], scene: &Scene) -> Vec<Vec3> {
+    let strengths = strengths_of(scene);
+    layers.iter().map(|layer| weight_at(&layer.lights, &strengths).unwrap_or(Vec3::ONE)).collect()
+}
+
 impl LightMap {
     /// What every layer weighs in `scene`.
     pub fn layer_weights(&self, scene: &Scene) -> Vec<Vec3> {
-        let strengths = strengths_of(scene);
-        self.layers.iter().map(|layer| weight_at(&layer.lights, &strengths).unwrap_or(Vec3::ONE)).collect()
+        weights_of_layers(&self.layers, scene)
     }
 
     /// The layer of a light; none where the map has no layers, or none of that light.

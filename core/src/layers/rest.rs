@@ -9,7 +9,9 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{BLOCK_SLOTS, Layer, LayerHeader, LightBlock, LightValues, SparseLight, blocks_of, weight_of};
+use super::{
+    BLOCK_SLOTS, Layer, LayerHeader, LightBlock, LightValues, SparseLight, blocks_of, weight_of, weights_of_layers,
+};
 use crate::lightmap::LightMap;
 use crate::scene::Scene;
 use crate::value::LEAST_TOLD;
@@ -161,7 +163,7 @@ pub(crate) fn thinned(layers: Vec<Arc<Layer>>, which: impl Fn(usize) -> bool, sc
 
 /// Size of the light of all layers together, per slot.
 fn sizes(layers: &[Arc<Layer>], scene: &Scene) -> Vec<f32> {
-    let weights: Vec<Vec3> = layers.iter().map(|l| weight_of(&l.lights, scene).unwrap_or(Vec3::ONE)).collect();
+    let weights = weights_of_layers(layers, scene);
     let mut sizes = vec![0.0; layers.first().map_or(0, |layer| layer.light.len())];
     sizes.par_chunks_mut(BLOCK_SLOTS).enumerate().for_each(|(index, sizes)| {
         for (layer, weight) in layers.iter().zip(&weights) {

@@ -13,7 +13,7 @@ use crate::importance::Importance;
 use crate::job::{Budget, Canceled, Observer, Pass, Progress, Snapshot};
 use crate::layers::{
     Apart, Computed, Layer, LayerHeader, Old, Piece, Pieces, Plan, add_square_of_rest, at_strength_of, correlation,
-    is_new, less_sure, renamed, thinned, wants_layers, weight_of, weights_of, weights_within, whole, whole_of,
+    is_new, less_sure, renamed, thinned, wants_layers, weights_of, weights_of_layers, weights_within, whole, whole_of,
     whole_with,
 };
 use crate::lightmap::{AnyLight, LightMap, SparseLight};
@@ -171,8 +171,7 @@ impl<'a> LayersUpdate<'a> {
 
     /// What layers weigh after the edit: those that were thinned are at present strength.
     pub(super) fn weights_of(&self, layers: &[Arc<Layer>]) -> Vec<Vec3> {
-        let weight = |layer: &Arc<Layer>| weight_of(&layer.lights, &self.transition.after.scene).unwrap_or(Vec3::ONE);
-        layers.iter().map(weight).collect()
+        weights_of_layers(layers, &self.transition.after.scene)
     }
 
     /// A map after the edit. Of layers that go with it (or `more`) something is left in the rest: that is stated.
