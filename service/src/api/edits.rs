@@ -201,7 +201,8 @@ fn accept(
     let unlit = transition.map(|transition| {
         let (job, accepted_at) = (Some(ticket.number), Some(accepted_at));
         let moves = parsed.moves();
-        let accepted = history::Accepted { body: body.clone(), job, accepted_at, moves, turn: None, is_undone: false };
+        let body = Arc::from(&**body);
+        let accepted = history::Accepted { body, job, accepted_at, moves, turn: None, is_undone: false };
         head.history.accept(accepted, parsed.way(), (&head.world.scene, &transition.after.scene));
         head.world = transition.after.clone();
         head.sequence = sequence;

@@ -3,7 +3,6 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use bytes::Bytes;
 use jiff::Timestamp;
 use rebake_core::Restore;
 
@@ -39,8 +38,8 @@ pub(crate) struct Moves {
 /// An accepted edit request.
 #[derive(Clone, Debug)]
 pub(crate) struct Accepted {
-    /// As it was sent.
-    pub(crate) body: Bytes,
+    /// As it was sent; not the part of a connection's read buffer that it came in, all of which would stay with it.
+    pub(crate) body: Arc<[u8]>,
     /// What lit it; none where an earlier build has not kept that.
     pub(crate) job: Option<JobNumber>,
     pub(crate) accepted_at: Option<Timestamp>,
@@ -165,7 +164,7 @@ mod tests {
     use super::*;
 
     fn request() -> Accepted {
-        Accepted { body: Bytes::new(), job: None, accepted_at: None, moves: None, turn: None, is_undone: false }
+        Accepted { body: Arc::default(), job: None, accepted_at: None, moves: None, turn: None, is_undone: false }
     }
 
     fn scene(count: usize) -> Scene {
