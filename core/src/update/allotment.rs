@@ -5,22 +5,14 @@
 //! The variance of a path is at most the mean square of what it may meet, which needs no ray to be judged roughly:
 //! squared light of some clusters of surfaces, as if nothing stood in between.
 
-use std::f32::consts::PI;
-
-use glam::Vec3;
 use rayon::prelude::*;
 
+use super::clusters::{clusters, places};
 use crate::solve::{Rows, Subset};
 use crate::world::World;
 
 /// Slots per task.
 const CHUNK: usize = 4096;
-
-/// Clusters of the change.
-const CLUSTERS: usize = 32;
-
-/// Places at most that clusters are made of, of those that have changed most and of the others.
-const PLACES: usize = 1 << 12;
 
 /// A usual albedo, to guess bounces with.
 pub(super) const ALBEDO: f32 = 0.5;
@@ -37,6 +29,11 @@ const MARGIN: f64 = 1.3;
 const SHARED_WITHIN: f32 = 16.0;
 const SHARED_COSINE: f32 = 0.8;
 
+/// They have at most so many times the light of one another, that below a part of the mean not told apart: the dark outside
+/// of a wall is near its inside, and often turned as what stands there.
+const ALIKE: f32 = 8.0;
+const LEAST_LIGHT: f32 = 1e-3;
+
 /// Rows at most that borrow paths of one another.
 const NEIGHBOURS: usize = 16;
 
@@ -44,11 +41,13 @@ const NEIGHBOURS: usize = 16;
 pub(super) struct Allotment {
     /// Per representative: √(area × variance of one path), up to a factor.
     needs: Vec<f32>,
+    /// Per representative: light that was there, mean over RGB.
+    lights: Vec<f32>,
 }
 
 impl Allotment {
-    /// For the amount per slot of what has changed.
-    pub(super) fn new(world: &World, subset: &Subset, amounts: &[f32]) -> Allotment {
+    /// For the amount per slot of what has changed, and of the light that was there.
+    pub(super) fn new(world: &World, subset: &Subset, amounts: &[f32], light: impl Fn(usize) -> f32) -> Allotment {
         let places = places(world, amounts);
         let area: f32 = places.iter().map(|p| p.area).sum();
         // The mean of all later bounces.
@@ -66,8 +65,13 @@ impl Allotment {
             let bounces = ALBEDO * light + ambient;
             ((squares + bounces * bounces) * area).sqrt()
         };
-        let needs = subset.slots.par_iter().zip(subset.areas(world)).with_min_len(CHUNK).map(need).collect();
-        Allotment { needs }
+        let areas = subset.areas(world);
+        let needs = subset.slots.par_iter().zip(&areas).with_min_len(CHUNK).map(|(slot, area)| need((slot, *area)));
+        let lights: Vec<f32> = subset.slots.iter().map(|&slot| light(slot as usize)).collect();
+        let sums = lights.iter().zip(&areas).fold([0.0; 2], |[light, area], (l, a)| [light + l * a, area + a]);
+        let least = LEAST_LIGHT * sums[0] / sums[1].max(f32::MIN_POSITIVE);
+        let lights = lights.into_iter().map(|light| light.max(least)).collect();
+        Allotment { needs: needs.collect(), lights }
     }
 
     /// Rows for some representatives, and the paths of each. Together they have the noise that `each` would leave if
@@ -77,145 +81,52 @@ impl Allotment {
         let (sum, squares) = needs().fold((0.0, 0.0), |(s, q), n| (s + n, q + n * n));
         let factor = if squares > 0.0 { MARGIN * sum / squares } else { 0.0 };
         let mut shares: Vec<Share> = Vec::new();
+        let are_near = |a: u32, b: u32| self.are_near(world, subset, a, b);
         for (need, &member) in needs().zip(members.members()) {
             let paths = f64::from(each) * (need * factor).min(f64::from(MOST));
-            let slot = subset.slots[member as usize] as usize;
-            match shares.last_mut().filter(|share| share.takes(world, slot, paths)) {
+            // One path is enough for all.
+            let takes = |share: &Share| share.paths + paths <= 1.0 && are_near(share.first, member);
+            match shares.last_mut().filter(|share| takes(share)) {
                 Some(share) => (share.count, share.paths) = (share.count + 1, share.paths + paths),
-                None => shares.push(Share { first: slot, count: 1, paths }),
+                None => shares.push(Share { first: member, count: 1, paths }),
             }
         }
-        let mut neighbours: Vec<(usize, usize)> = Vec::new();
+        let mut neighbours: Vec<(u32, usize)> = Vec::new();
         for share in &shares {
             match neighbours.last_mut() {
-                Some((first, count)) if *count < NEIGHBOURS && are_near(world, *first, share.first) => *count += 1,
+                Some((first, count)) if *count < NEIGHBOURS && are_near(*first, share.first) => *count += 1,
                 _ => neighbours.push((share.first, 1)),
             }
         }
         let rows = members.shared(shares.iter().map(|share| share.count), neighbours.iter().map(|n| n.1));
         (rows, shares.iter().map(|share| share.paths.round().max(1.0) as u32).collect())
     }
+
+    /// Whether two representatives lie beside each other, in light of the same kind.
+    fn are_near(&self, world: &World, subset: &Subset, a: u32, b: u32) -> bool {
+        let within = SHARED_WITHIN * world.resolution.smooth;
+        let [first, second] = [a, b].map(|member| self.lights[member as usize]);
+        let [a, b] = [a, b].map(|member| subset.slots[member as usize] as usize);
+        first.max(second) <= ALIKE * first.min(second)
+            && world.positions()[a].distance_squared(world.positions()[b]) < within * within
+            && world.normals()[a].dot(world.normals()[b]) > SHARED_COSINE
+    }
 }
 
 /// Neighbours that are one row.
 struct Share {
-    /// Slot of the first of them.
-    first: usize,
+    /// The first of them.
+    first: u32,
     count: usize,
     /// That are asked for.
     paths: f64,
 }
 
-impl Share {
-    /// Whether one more is near enough, and one path enough for all.
-    fn takes(&self, world: &World, slot: usize, paths: f64) -> bool {
-        self.paths + paths <= 1.0 && are_near(world, self.first, slot)
-    }
-}
-
-fn are_near(world: &World, a: usize, b: usize) -> bool {
-    let within = SHARED_WITHIN * world.resolution.smooth;
-    world.positions()[a].distance_squared(world.positions()[b]) < within * within
-        && world.normals()[a].dot(world.normals()[b]) > SHARED_COSINE
-}
-
-/// An element whose light has changed, or that stands for several of them.
-#[derive(Clone, Copy)]
-struct ChangedPoint {
-    position: Vec3,
-    /// m².
-    area: f32,
-    /// Amount of the change, mean over RGB.
-    light: f32,
-}
-
-/// The places that have changed most, and the others; where there are many, some stand for all.
-fn places(world: &World, amounts: &[f32]) -> Vec<ChangedPoint> {
-    let (positions, areas) = (world.positions(), world.areas());
-    let square = |slot: usize| f64::from(amounts[slot] * amounts[slot]);
-    let limit = world.area_mean(0..amounts.len(), square);
-    let (most, others): (Vec<usize>, Vec<usize>) =
-        (0..amounts.len()).into_par_iter().filter(|&slot| areas[slot] > 0.0).partition(|&slot| square(slot) > limit);
-    let thinned = |slots: &[usize]| -> Vec<ChangedPoint> {
-        let step = slots.len().div_ceil(PLACES).max(1);
-        let place = |&slot: &usize| {
-            let area = areas[slot] * step as f32;
-            ChangedPoint { position: positions[slot], area, light: amounts[slot] }
-        };
-        slots.iter().step_by(step).map(place).collect()
-    };
-    [thinned(&most), thinned(&others)].concat()
-}
-
-/// Places seen as one from afar.
-struct Cluster {
-    middle: Vec3,
-    /// Squared, m².
-    radius2: f32,
-    /// Σ A L and Σ A L², over π.
-    light: f32,
-    squares: f32,
-}
-
-impl Cluster {
-    fn of(places: &[ChangedPoint]) -> Cluster {
-        let power = |p: &ChangedPoint| p.light * p.light * p.area;
-        let squares: f32 = places.iter().map(power).sum();
-        let middle = match squares > 0.0 {
-            true => places.iter().map(|p| p.position * power(p)).sum::<Vec3>() / squares,
-            false => places.first().map_or(Vec3::ZERO, |p| p.position),
-        };
-        let spread: f32 = places.iter().map(|p| p.position.distance_squared(middle) * power(p)).sum();
-        let radius2 = if squares > 0.0 { spread / squares } else { 0.0 };
-        let light: f32 = places.iter().map(|p| p.light * p.area).sum();
-        // Never smaller than its own area.
-        let area: f32 = places.iter().map(|p| p.area).sum();
-        Cluster { middle, radius2: radius2.max(area / PI), light: light / PI, squares: squares / PI }
-    }
-
-    /// Cosine over squared distance.
-    fn seen_from(&self, point: Vec3, normal: Vec3) -> f32 {
-        let w = self.middle - point;
-        let distance2 = w.length_squared() + self.radius2;
-        let distance = distance2.sqrt();
-        ((normal.dot(w) + self.radius2.sqrt()) / distance).clamp(0.0, 1.0) / distance2
-    }
-}
-
-/// Halves what is most spread out, as often as there are clusters.
-fn clusters(places: Vec<ChangedPoint>) -> Vec<Cluster> {
-    let mut parts: Vec<(Vec<ChangedPoint>, Cluster)> = Vec::with_capacity(CLUSTERS);
-    let with_cluster = |places: Vec<ChangedPoint>| {
-        let cluster = Cluster::of(&places);
-        (places, cluster)
-    };
-    parts.push(with_cluster(places));
-    while parts.len() < CLUSTERS {
-        let spread = |c: &Cluster| c.squares * c.radius2;
-        let Some(widest) = (0..parts.len()).max_by(|&a, &b| spread(&parts[a].1).total_cmp(&spread(&parts[b].1))) else {
-            break;
-        };
-        let (places, cluster) = parts.swap_remove(widest);
-        let (low, high) = places
-            .iter()
-            .filter(|p| p.light > 0.0)
-            .fold((cluster.middle, cluster.middle), |(l, h), p| (l.min(p.position), h.max(p.position)));
-        let size = high - low;
-        let axis = (0..3).fold(0, |best, axis| if size[axis] > size[best] { axis } else { best });
-        let (below, above): (Vec<ChangedPoint>, Vec<ChangedPoint>) =
-            places.into_iter().partition(|p| p.position[axis] < cluster.middle[axis]);
-        if below.is_empty() || above.is_empty() {
-            parts.push(with_cluster([below, above].concat()));
-            break;
-        }
-        parts.extend([with_cluster(below), with_cluster(above)]);
-    }
-    parts.into_iter().map(|(_, cluster)| cluster).filter(|cluster| cluster.light > 0.0).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
+
+    use glam::Vec3;
 
     use super::*;
     use crate::job::Unobserved;
@@ -284,7 +195,7 @@ mod tests {
         let (change, amounts) = change(&world);
         let all = Arc::new(Rows::all(&subset));
         const EACH: u32 = 16;
-        let (rows, paths) = Allotment::new(&world, &subset, &amounts).rows(&world, &subset, &all, EACH);
+        let (rows, paths) = Allotment::new(&world, &subset, &amounts, |_| 1.0).rows(&world, &subset, &all, EACH);
         let count: u32 = paths.iter().sum();
         assert!(f64::from(count) < 0.6 * f64::from(EACH) * all.len() as f64, "{count}");
 
@@ -330,7 +241,7 @@ mod tests {
             traced.to_representatives(&subset, &traced.all_bounces(&traced.first))
         };
         let exact = bounces(&all, Paths::Each(3000), 1);
-        let (rows, paths) = Allotment::new(&world, &subset, &amounts).rows(&world, &subset, &all, 1);
+        let (rows, paths) = Allotment::new(&world, &subset, &amounts, |_| 1.0).rows(&world, &subset, &all, 1);
         let alone = all.shared((0..rows.len()).map(|row| rows.members_of(row).len()), std::iter::empty());
         let areas = subset.areas(&world);
         // Squared error, by area, over the exact solution squared; the mean over its mean, and that one's standard
@@ -365,7 +276,7 @@ mod tests {
         let world = room(0.5);
         let subset = Subset::new(&world);
         let all = Rows::all(&subset);
-        let allotment = Allotment::new(&world, &subset, &vec![0.0; world.slots()]);
+        let allotment = Allotment::new(&world, &subset, &vec![0.0; world.slots()], |_| 0.0);
         let (rows, paths) = allotment.rows(&world, &subset, &all, 16);
         assert!(paths.iter().all(|paths| *paths == 1));
         assert_eq!(rows.members(), all.members());
@@ -378,6 +289,22 @@ mod tests {
             let (first, normal) = place(members[0]);
             let is_near = |(p, n): (Vec3, Vec3)| p.distance(first) < 16.0 * 0.15 && n.dot(normal) > 0.8;
             assert!(members.iter().all(|&m| is_near(place(m))));
+        }
+    }
+
+    /// A path of what stands in the light tells nothing of what is dark beside it.
+    #[test]
+    fn what_is_dark_shares_no_path_with_what_is_lit() {
+        let world = room(0.5);
+        let subset = Subset::new(&world);
+        let all = Rows::all(&subset);
+        let light = |slot: usize| if world.positions()[slot].x > 8.0 { 0.3 } else { 1e-6 };
+        let allotment = Allotment::new(&world, &subset, &vec![0.0; world.slots()], light);
+        let (rows, _) = allotment.rows(&world, &subset, &all, 16);
+        assert!(4 * rows.len() < all.len(), "{} rows of {}", rows.len(), all.len());
+        for members in (0..rows.len()).map(|row| rows.members_of(row)) {
+            let first = light(subset.slots[members[0] as usize] as usize);
+            assert!(members.iter().all(|&m| light(subset.slots[m as usize] as usize) == first));
         }
     }
 

@@ -11,6 +11,7 @@
 
 mod allotment;
 mod buffers;
+mod clusters;
 mod direct;
 mod extent;
 mod layers;

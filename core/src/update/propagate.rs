@@ -5,6 +5,7 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::Stage;
 use super::allotment::{ALBEDO, Allotment};
 use super::updater::{CHUNK, Updater};
 use crate::job::{Canceled, Pass};
@@ -192,9 +193,12 @@ impl<V: Solvable> Updater<'_, V> {
 
     /// Where to look for a change.
     pub(super) fn aims(&self, change: &Change<V>) -> Aims {
+        let Stage { guides, around, .. } = self.stage;
+        let there = |slot: usize| around.map_or_else(|| self.light[slot].weighted(guides), |around| around[slot]);
+        let amount = |slot: usize| there(slot).abs().element_sum() / 3.0;
         Aims {
             spots: Spots::of_change(self.world, &change.seen_by_old, self.stage.guides),
-            allotment: Allotment::new(self.world, &self.subset, &change.amounts),
+            allotment: Allotment::new(self.world, &self.subset, &change.amounts, amount),
         }
     }
 
