@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::sight::{Touched, is_touched, of_touched_cells};
 use super::{Placed, World, visible_light};
@@ -19,8 +20,11 @@ const ALL_RAYS: u32 = 32;
 /// Samples of each light that have to miss an element that only sees backs.
 const LIGHT_SAMPLES: u32 = 4;
 
-/// An element that sees less than this part of its cells is behind what hides the rest.
+/// An element that sees less than this part of its cells is behind what hides the rest, unless it looks out as they do.
 const LEAST_SHARE: f32 = 0.4;
+
+/// Part of its neighbours' way out that it looks out with at least.
+const LEAST_OPEN: f32 = 0.5;
 
 /// Whether an element is inside a solid. Most of its rays meet the backs of closed objects that light does not enter,
 /// or all of them meet some back that no light comes from (objects that stand on a floor often have no bottom) and no
@@ -102,8 +106,27 @@ impl Sight {
     }
 }
 
-/// Elements of an object, outside of solids, that see next to nothing of their cells, ascending. Where nothing has
-/// changed about their cells, they are those that were.
+/// How much of the light that an element would gather comes from farther away than the spacing, 0 to 1.
+fn openness(world: &World, slot: u32) -> f32 {
+    let (origin, n) = world.ray_origin(slot as usize);
+    let mut rng = Pcg32::new(0x0be7, u64::from(slot));
+    let mut is_free = || {
+        let direction = cosine_hemisphere(n, rng.next_2d());
+        let ray = Ray { origin, direction, t_min: 0.0, t_max: world.spacing() };
+        world.trees.closest_opaque(&ray).is_none()
+    };
+    (0..ALL_RAYS).filter(|_| is_free()).count() as f32 / ALL_RAYS as f32
+}
+
+/// Whether less of the world is to be seen from an element than from those around it: light of theirs stands for its own.
+/// Between slats, or on a ledge whose other corners are in a wall, its own is the better.
+fn is_less_open(world: &World, slot: u32, around: impl Iterator<Item = u32>) -> bool {
+    let (sum, count) = around.fold((0.0, 0.0), |(sum, count), other| (sum + openness(world, other), count + 1.0));
+    openness(world, slot) * count < LEAST_OPEN * sum
+}
+
+/// Elements of an object, outside of solids, that see next to nothing of their cells, which see more of the world,
+/// ascending. Where nothing has changed about their cells, they are those that were.
 pub(super) fn behind_surfaces(world: &World, placed: &Placed, touched: Touched) -> Vec<u32> {
     let behind = world.validity.behind();
     let was_behind = |slot: u32| behind.binary_search(&slot).is_ok();
@@ -136,9 +159,16 @@ pub(super) fn behind_surfaces(world: &World, placed: &Placed, touched: Touched) 
         }
     }
     let is_behind = |sight: Sight| sight.seen < LEAST_SHARE * sight.cells as f32;
-    let found = sights.into_iter().filter(|(_, sight)| is_behind(*sight)).map(|(slot, _)| slot);
+    let around = |slot: u32| {
+        let side = placed.sides().find(|side| side.contains(&slot)).map_or(0, |side| side.start);
+        let elements = placed.layout.neighbours_of(slot - side).iter();
+        elements.map(move |element| side + element).filter(|slot| is_outside(*slot))
+    };
+    let found: Vec<u32> = sights.into_iter().filter(|(_, sight)| is_behind(*sight)).map(|(slot, _)| slot).collect();
+    let found = found.into_par_iter().filter(|&slot| is_less_open(world, slot, around(slot)));
+    let found: Vec<u32> = found.collect();
     let kept = world.validity.behind_of(&placed.placement.elements).iter().copied().filter(|slot| !is_asked(*slot));
-    let mut all: Vec<u32> = found.chain(kept).collect();
+    let mut all: Vec<u32> = found.into_iter().chain(kept).collect();
     all.sort_unstable();
     all
 }
