@@ -12,7 +12,7 @@ use crate::job::{Budget, Canceled, Observer, Offer, Pass, Progress, Snapshot};
 use crate::layers::{Apart, Computed, groups_of, weights_of, weights_within};
 use crate::lightmap::{LayerHeader, LightMap, LightValues};
 use crate::random::subseed;
-use crate::rounds::{Estimator, Goal, Phase, Round};
+use crate::rounds::{Estimator, Goal, Need, Phase, Round};
 use crate::solve::{Exchange, Paths, Rows, Solvable, Subset};
 use crate::transport::direct::direct_at;
 use crate::transport::{Effort, Field, Hint, Work, blacken, for_slots, gathered};
@@ -116,7 +116,7 @@ fn bake_stack<V: Solvable>(
     let stated = |map: &LightMap| Some(map.estimated_rmse(world.areas()));
     let phase = if first.is_some() { Phase::Rest } else { Phase::Whole };
     let rounds = goal.rounds(world, weights, work, phase);
-    Ok(rounds.run_and_show(&all, prior, stated, |_| false, compose)?.0)
+    Ok(rounds.run_and_show(&all, prior, stated, |_, _| Need::default(), compose)?.0)
 }
 
 /// What all rounds of a bake share: a function of the world, its layers and the seed.

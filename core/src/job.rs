@@ -59,6 +59,10 @@ pub struct Progress {
     pub rays: u64,
     /// Estimated area-weighted RMSE of the last snapshot, where there is one.
     pub estimated_rmse: Option<f32>,
+    /// Of an update: how many times the samples so far it takes until its own noise makes the whole map's error at most
+    /// 1.05 times what it was before, and twice where the change is seen, and new elements are as good as what is around
+    /// them; at most 1 where it is there. None where that is not known.
+    pub needed: Option<f32>,
 }
 
 impl Progress {
@@ -77,6 +81,7 @@ impl Progress {
             pass_share: 0.0,
             rays: 0,
             estimated_rmse,
+            needed: None,
         }
     }
 }

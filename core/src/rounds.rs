@@ -201,10 +201,19 @@ struct Ran<V: Value, P> {
 }
 
 /// What is said of all rounds so far.
+#[derive(Default)]
 struct Judged {
     estimated_rmse: Option<f32>,
+    need: Need,
+}
+
+/// What an estimate needs beside the rounds so far.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Need {
     /// More of them are of no use.
-    enough: bool,
+    pub is_met: bool,
+    /// See [`Progress::needed`].
+    pub factor: Option<f32>,
 }
 
 /// Light maps as rounds bring them, and what the next round would go by.
@@ -218,8 +227,7 @@ impl Rounds<'_> {
         known: E::Prior,
     ) -> Result<Option<Accumulator<V>>, Canceled> {
         let least = self.budget.samples_per_element.div_ceil(TILE_PARTS);
-        let judge = |_: &mut _, _: &_, _| Judged { estimated_rmse: None, enough: false };
-        let mut ran = self.run(least, estimator, Some(known), judge)?;
+        let mut ran = self.run(least, estimator, Some(known), |_, _, _| Judged::default())?;
         if ran.sum.knows_variance() {
             ran.sum.ask_neighbours(self.world);
         }
@@ -248,19 +256,19 @@ impl Rounds<'_> {
             map
         };
         // The rest of the map is out of date: nothing can be stated about the whole.
-        let (_, prior) = self.run_and_show(estimator, None, |_| None, |_| false, compose)?;
+        let (_, prior) = self.run_and_show(estimator, None, |_| None, |_, _| Need::default(), compose)?;
         let samples = |samples: u32| is_seen.iter().map(|seen| if *seen { samples } else { 0 }).collect();
         Ok((last.map(|(stack, done)| First { stack, samples: samples(done), old }), prior))
     }
 
-    /// Runs them, and shows a map after each. `compose` makes it of all, `stated` tells its error, `enough` whether more
-    /// rounds are of no use. Answers the last map.
+    /// Runs them, and shows a map after each. `compose` makes it of all, `stated` tells its error, `need` what more it
+    /// takes. Answers the last map.
     pub(crate) fn run_and_show<V: Value, E: Estimator<V>>(
         &self,
         estimator: &E,
         known: Option<E::Prior>,
         stated: impl Fn(&LightMap) -> Option<f32>,
-        enough: impl Fn(&Accumulator<V>) -> bool,
+        need: impl Fn(&Accumulator<V>, &E::Prior) -> Need,
         mut compose: impl FnMut(&Accumulator<V>, &E::Prior) -> LightMap,
     ) -> Result<Mapped<Arc<LightMap>, E::Prior>, Canceled> {
         let mut last = None;
@@ -270,13 +278,16 @@ impl Rounds<'_> {
             }
             let map = Arc::new(compose(sum, prior));
             let estimated_rmse = stated(&map);
-            let done = Progress { estimated_rmse, ..self.progress(sum, Pass::FinalGather, samples, 1.0..1.0) };
+            let mut need = need(sum, prior);
+            let done = self.progress(sum, Pass::FinalGather, samples, 1.0..1.0);
+            let done = Progress { estimated_rmse, needed: need.factor, ..done };
             self.work.observer().progress(&done);
             self.work.observer().snapshot(&map, self.phase.snapshot(estimated_rmse), &done);
             last = Some(map);
             let reached = self.budget.target_rmse.zip(estimated_rmse).is_some_and(|(target, rmse)| rmse <= target);
             // A guess ends nothing.
-            Judged { estimated_rmse, enough: reached && sum.knows_variance() || enough(sum) }
+            need.is_met |= reached && sum.knows_variance();
+            Judged { estimated_rmse, need }
         })?;
         Ok((last, ran.prior))
     }
@@ -292,19 +303,19 @@ impl Rounds<'_> {
     ) -> Result<Ran<V, E::Prior>, Canceled> {
         let observer = self.work.observer();
         let mut sum = Accumulator::new(self.weights, self.world.stated());
-        let (mut light, mut judged) = (LightValues::default(), Judged { estimated_rmse: None, enough: false });
+        let (mut light, mut judged) = (LightValues::default(), Judged::default());
         for index in 0_u32.. {
             let left = self.budget.samples_per_element.saturating_sub(sum.samples());
-            if judged.enough {
+            if judged.need.is_met {
                 break;
             }
             self.work.check()?;
             if left == 0 {
                 break;
             }
-            let estimated_rmse = judged.estimated_rmse;
+            let (estimated_rmse, needed) = (judged.estimated_rmse, judged.need.factor);
             let progress =
-                |pass, samples, part| Progress { estimated_rmse, ..self.progress(&sum, pass, samples, part) };
+                |pass, samples, part| Progress { estimated_rmse, needed, ..self.progress(&sum, pass, samples, part) };
             let proposed = sum.samples().max(least).min(left);
             let samples = match self.phase == Phase::Part && observer.leaves_first() {
                 true => 0,
@@ -388,6 +399,7 @@ impl Rounds<'_> {
             pass_share: part.end - part.start,
             rays: self.work.rays(),
             estimated_rmse: None,
+            needed: None,
         }
     }
 }

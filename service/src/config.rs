@@ -262,6 +262,6 @@ impl Default for Timeouts {
 
 impl Default for Defaults {
     fn default() -> Defaults {
-        Defaults { bake_samples: 128, edit_samples: 64, page: 50 }
+        Defaults { bake_samples: 128, edit_samples: 48, page: 50 }
     }
 }

@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use super::durable::{fast_directory, start};
 use super::engine::Step;
-use super::glb;
+use super::glb::{self, translation};
 use super::server::{Server, path_of};
 
 #[tokio::test]
@@ -98,5 +98,38 @@ async fn both_errors_are_stated_while_light_is_computed() {
     assert_eq!(&job["progress"]["light_error"], stated, "{job}");
     let warning = job["warnings"][0].as_str().unwrap();
     assert!(warning.contains("error of resolution") && job["state"] == "succeeded", "{warning}");
+    server.stop().await;
+}
+
+/// Inserts a crate into a room of its own; the edit's job, and the stated error after it over that before.
+async fn crate_into_a_room(server: &Server, budget: Option<Value>) -> (Value, f64) {
+    let scene = server.baked_room("?spacing=0.2&samples_per_element=128").await;
+    let stated =
+        async || server.get(&path_of(&scene)).await.json(200)["light_error"]["noise"].as_f64().expect("it is known");
+    let before = stated().await;
+    let asset = server.crate_asset().await;
+    let mut insert =
+        json!({ "op": "insert", "asset": asset, "name": "crate", "transform": translation(2.0, 0.01, 2.0) });
+    budget.into_iter().for_each(|budget| insert["budget"] = budget);
+    let job = server.edit(&scene, &insert).await;
+    let job = server.end_of(&job).await;
+    assert_eq!(job["state"], "succeeded", "{job}");
+    (job, stated().await / before)
+}
+
+#[tokio::test]
+async fn an_edit_without_a_bound_ends_where_its_noise_is_not_seen() {
+    let server = Server::start().await;
+    let samples = |job: &Value| job["progress"]["samples_per_element"].as_u64().expect("a number");
+    let rays = |job: &Value| job["progress"]["rays"].as_u64().expect("a number");
+    let (explicit, _) = crate_into_a_room(&server, Some(json!({ "samples_per_element": 48 }))).await;
+    assert_eq!(samples(&explicit), 48);
+    for budget in [None, Some(json!({}))] {
+        let (job, growth) = crate_into_a_room(&server, budget).await;
+        assert!((8..48).contains(&samples(&job)), "{job}");
+        assert!(3 * rays(&job) < 2 * rays(&explicit), "{job} {explicit}");
+        assert!(growth < 1.05, "{growth}");
+        assert_eq!(job["progress"]["fraction"], 1.0);
+    }
     server.stop().await;
 }

@@ -61,6 +61,7 @@ impl Scripted {
             pass_share: 0.0,
             rays: 0,
             estimated_rmse: None,
+            needed: None,
         };
         observer.progress(&progress);
         loop {
@@ -165,6 +166,7 @@ impl Engine for Scripted {
             pass_share: 0.0,
             rays: 0,
             estimated_rmse: None,
+            needed: None,
         };
         loop {
             match next_step(&self.idle_steps, observer)? {

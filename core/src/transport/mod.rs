@@ -25,4 +25,4 @@ pub(crate) use spots::{Spots, Target};
 pub use surfel::Surfel;
 pub(crate) use walk::{End, Field, Rough, walk};
 pub use work::Work;
-pub(crate) use work::{black, blacken, for_slots, two_sums};
+pub(crate) use work::{black, blacken, for_slots, sums};

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use super::Surfel;
 use super::walk::is_near;
-use super::work::two_sums;
+use super::work::sums;
 use crate::bvh::Hit;
 use crate::sampling::{Discrete, uniform_barycentrics};
 use crate::space::Patch;
@@ -184,13 +184,13 @@ impl Spots {
 
 /// Amount from which on a place is bright, of chunks of places (area, amount).
 fn limit<I: Iterator<Item = (f32, f32)>>(places: impl IndexedParallelIterator<Item = I>) -> f32 {
-    let [area, power] = two_sums(places, |(area, amount)| [area, area * amount].map(f64::from));
+    let [area, power] = sums(places, |(area, amount)| [area, area * amount].map(f64::from));
     (BRIGHT * power / area) as f32
 }
 
 /// Part of Σ A x² that places above `limit` have.
 fn share_of_bright<I: Iterator<Item = (f32, f32)>>(places: impl IndexedParallelIterator<Item = I>, limit: f32) -> f64 {
-    let [all, bright] = two_sums(places, |(area, amount)| {
+    let [all, bright] = sums(places, |(area, amount)| {
         let square = f64::from(area) * f64::from(amount) * f64::from(amount);
         [square, if amount > limit { square } else { 0.0 }]
     });

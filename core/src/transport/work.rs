@@ -118,14 +118,14 @@ pub(crate) fn blacken<V: Value>(light: &mut Vec<V>, slots: usize) {
     (0..slots).into_par_iter().with_min_len(LONG_CHUNK).map(|_| V::default()).collect_into_vec(light);
 }
 
-/// Two sums over chunks, the same on any number of threads.
-pub(crate) fn two_sums<C: IntoIterator>(
+/// Some sums over chunks, the same on any number of threads.
+pub(crate) fn sums<const N: usize, C: IntoIterator>(
     chunks: impl IndexedParallelIterator<Item = C>,
-    of: impl Fn(C::Item) -> [f64; 2] + Sync,
-) -> [f64; 2] {
-    let add = |a: [f64; 2], b: [f64; 2]| [a[0] + b[0], a[1] + b[1]];
-    let partials: Vec<[f64; 2]> = chunks.map(|chunk| chunk.into_iter().map(&of).fold([0.0; 2], add)).collect();
-    partials.into_iter().fold([0.0; 2], add)
+    of: impl Fn(C::Item) -> [f64; N] + Sync,
+) -> [f64; N] {
+    let add = |a: [f64; N], b: [f64; N]| std::array::from_fn(|k| a[k] + b[k]);
+    let partials: Vec<[f64; N]> = chunks.map(|chunk| chunk.into_iter().map(&of).fold([0.0; N], add)).collect();
+    partials.into_iter().fold([0.0; N], add)
 }
 
 /// Calls `f(slot, value)` for the values of some slots, ascending, in parallel.

@@ -17,6 +17,7 @@ mod extent;
 mod layers;
 mod look_first;
 mod near_lamps;
+mod need;
 mod new_slots;
 mod places;
 mod propagate;
@@ -38,7 +39,7 @@ use crate::layers::{Apart, Old};
 use crate::lightmap::{AnyLight, LightMap, LightValues};
 use crate::random::subseed;
 use crate::refine::refine_with;
-use crate::rounds::{Estimator, Goal, Phase, Round};
+use crate::rounds::{Estimator, Goal, Need, Phase, Round};
 use crate::solve::Solvable;
 use crate::transport::Work;
 use crate::world::Transition;
@@ -138,13 +139,16 @@ pub(crate) fn run_stage<V: Solvable>(stage: &Stage, goal: &Goal, work: &Work) ->
     let stated = |map: &LightMap| Some(map.estimated_rmse(world.areas()));
     // What the old map brings along in noise no number of samples of the change takes away.
     let carried = updater.carried_variance();
-    let enough = |s: &Accumulator<V>| {
+    let is_unseen = |s: &Accumulator<V>| {
         goal.budget.target_rmse.is_some() && s.knows_variance() && updater.mean(&s.variance()) < UNSEEN * carried
+    };
+    let need = |s: &Accumulator<V>, prior: &StagePrior<V>| {
+        let is_change = matches!(prior, StagePrior::Change(_)) && first.is_none();
+        Need { is_met: is_unseen(s), factor: (is_change && s.knows_variance()).then(|| updater.needed(s)) }
     };
     let phase = if first.is_some() { Phase::Rest } else { Phase::Whole };
     let known = known.map(StagePrior::Change);
-    let (map, prior) =
-        goal.rounds(world, weights, work, phase).run_and_show(&rounds, known, stated, enough, compose)?;
+    let (map, prior) = goal.rounds(world, weights, work, phase).run_and_show(&rounds, known, stated, need, compose)?;
     let baked = matches!(prior, Some(StagePrior::Bake(..)));
     Ok(map.map(|map| Updated { map, baked }))
 }

@@ -15,7 +15,7 @@ use crate::layers::{Apart, Stack};
 use crate::lightmap::{LightMap, LightValues};
 use crate::rounds::{First, Round};
 use crate::solve::{Rows, Solvable, Subset};
-use crate::transport::{Spots, Work, two_sums};
+use crate::transport::{Spots, Work, sums};
 use crate::world::{Transition, World};
 
 /// Slots per task.
@@ -125,7 +125,7 @@ impl<'a, V: Solvable> Updater<'a, V> {
             let area = f64::from(areas[slot as usize]);
             [area * f64::from(value(slot as usize)), area]
         };
-        let [sum, area] = two_sums(self.unchanged_slots.par_chunks(CHUNK), of_slot);
+        let [sum, area] = sums(self.unchanged_slots.par_chunks(CHUNK), of_slot);
         if area > 0.0 { sum / area } else { 0.0 }
     }
 
@@ -273,7 +273,7 @@ impl<'a, V: Solvable> Updater<'a, V> {
             let then = around.map_or_else(|| light[slot].weighted(guides), |a| a[slot]) + delta;
             [delta, then].map(|light| f64::from(areas[slot]) * f64::from(light.length_squared()))
         };
-        let [change, left] = two_sums(self.unchanged_slots.par_chunks(CHUNK), squares);
+        let [change, left] = sums(self.unchanged_slots.par_chunks(CHUNK), squares);
         change >= OUTGROWN * left && change > 0.0
     }
 

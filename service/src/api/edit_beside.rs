@@ -34,7 +34,15 @@ pub(crate) fn to_budget(
         return Err(Problem::field(Kind::InvalidValue, join(path, "target_rmse"), "has to be above 0"));
     }
     let open_ended = if max_seconds.is_some() || target_rmse.is_some() { max_samples } else { default_samples };
-    Ok(JobBudget { samples_per_element: samples_per_element.unwrap_or(open_ended), max_seconds, target_rmse })
+    let samples_per_element = samples_per_element.unwrap_or(open_ended);
+    Ok(JobBudget { samples_per_element, max_seconds, target_rmse, by_error: false })
+}
+
+/// The budget of an edit: where the request sets no bound, its noise does.
+pub(crate) fn to_edit_budget(budget: Option<Budget>, config: &Config) -> ApiResult<JobBudget> {
+    let by_error = budget.is_none_or(|budget| budget == Budget::default());
+    let budget = to_budget(budget, "budget", config.defaults.edit_samples, config)?;
+    Ok(JobBudget { by_error, ..budget })
 }
 
 /// Elements per tile: at least, at most.

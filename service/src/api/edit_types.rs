@@ -29,7 +29,9 @@ pub struct EditList {
     /// The edits. Where one carries a `budget`, `focus`, `tiles` or `priority` of its own, the list's counts first, then
     /// the first edit's.
     pub edits: Vec<SingleEdit>,
-    /// When to stop.
+    /// When to stop. Without a bound: as soon as the edit's own noise adds at most 5 % to the error that the whole light map
+    /// had, at most doubles it where the change is seen, and what is new is as good as what is around it; after 48 samples
+    /// per element at the latest.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<Budget>,
     /// What to light first.
@@ -49,7 +51,9 @@ pub struct SingleEdit {
     /// What to change.
     #[serde(flatten)]
     pub op: EditOp,
-    /// When to stop.
+    /// When to stop. Without a bound: as soon as the edit's own noise adds at most 5 % to the error that the whole light map
+    /// had, at most doubles it where the change is seen, and what is new is as good as what is around it; after 48 samples
+    /// per element at the latest.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<Budget>,
     /// What to light first.
@@ -241,7 +245,7 @@ pub struct Redo {
 
 /// When a job stops: the first bound that is reached ends it. With a bound on time or error alone, samples go on
 /// until that is reached.
-#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Budget {
     /// Samples per element.

@@ -10,7 +10,7 @@ use bytes::Bytes;
 use rebake_core::allowed::Allowed;
 use serde_json::Value;
 
-use super::edit_beside::{to_budget, to_focus, to_tiles};
+use super::edit_beside::{to_edit_budget, to_focus, to_tiles};
 use super::edit_names::check_names;
 use super::edit_nodes;
 use super::edit_parse::{Parsed, parse, to_edits, used_assets};
@@ -138,7 +138,7 @@ fn read_request(app: &App, head: &Head, body: &[u8]) -> ApiResult<Request> {
     let parsed = parse(body, limits.edits_per_request)?;
     check_names(&parsed)?;
     let edits = to_edits(&parsed, &app.assets, &head.history, Allowed::ASKED)?;
-    let budget = to_budget(parsed.budget, "budget", app.config.defaults.edit_samples, &app.config)?;
+    let budget = to_edit_budget(parsed.budget, &app.config)?;
     let importance = read_importance(&parsed, &head.world, &app.config)?;
     let priority = parsed.priority;
     let dragged = parsed.moves().filter(|moves| moves.is_step).map_or_else(Vec::new, |moves| moves.things);
@@ -250,7 +250,7 @@ pub fn read_edits(
     let config = Config::default();
     let body = edit_nodes::with_names(&Bytes::copy_from_slice(body), &world.scene).map_err(told)?;
     let parsed = parse(&body, config.limits.edits_per_request).map_err(told)?;
-    to_budget(parsed.budget, "budget", config.defaults.edit_samples, &config).map_err(told)?;
+    to_edit_budget(parsed.budget, &config).map_err(told)?;
     read_importance(&parsed, world, &config).map_err(told)?;
     to_edits(&parsed, &held, &History::new(0), Allowed::ASKED).map_err(told)
 }

@@ -219,7 +219,7 @@ fn tell(app: &App, scene: &SceneEntry) -> types::Scene {
 }
 
 fn to_target(target: JobBudget) -> Budget {
-    let JobBudget { samples_per_element, max_seconds, target_rmse } = target;
+    let JobBudget { samples_per_element, max_seconds, target_rmse, .. } = target;
     Budget { samples_per_element: Some(samples_per_element), max_seconds, target_rmse }
 }
 

@@ -10,6 +10,9 @@ pub(crate) struct JobBudget {
     pub(crate) samples_per_element: u32,
     pub(crate) max_seconds: Option<f64>,
     pub(crate) target_rmse: Option<f32>,
+    /// An edit's noise is not to be seen beside that of the map it began with ([`Progress::needed`]): nobody asked for more.
+    #[serde(default)]
+    pub(crate) by_error: bool,
 }
 
 impl JobBudget {
@@ -19,7 +22,26 @@ impl JobBudget {
             samples_per_element: self.samples_per_element.max(other.samples_per_element),
             max_seconds: self.max_seconds.zip(other.max_seconds).map(|(a, b)| a.max(b)),
             target_rmse: self.target_rmse.zip(other.target_rmse).map(|(a, b)| a.min(b)),
+            by_error: self.by_error && other.by_error,
         }
+    }
+
+    /// See [`Progress::needed`]: where that ends the job.
+    fn needed(&self, progress: &Progress) -> Option<f64> {
+        progress.needed.filter(|_| self.by_error).map(f64::from)
+    }
+}
+
+/// Samples of the next round, where so many are proposed: as many as the job's error needs. None end it.
+pub(super) fn round_samples(budget: &JobBudget, so_far: &Progress, proposed: u32) -> u32 {
+    /// A round costs something by itself: part of the samples so far that it has at least.
+    const LEAST: u32 = 4;
+    let done = so_far.samples_per_element;
+    match budget.needed(so_far) {
+        None => proposed,
+        Some(needed) if needed <= 1.0 => 0,
+        // `as` saturates.
+        Some(needed) => proposed.min(((f64::from(done) * (needed - 1.0)).ceil() as u32).max(done / LEAST).max(1)),
     }
 }
 
@@ -82,12 +104,16 @@ pub(super) fn fraction(budget: &JobBudget, progress: &Progress, elapsed_secs: f6
         (Some(target), Some(now)) if now > 0.0 => f64::from(target / now).powi(2),
         _ => 0.0,
     };
-    let fraction = samples.max(time).max(error);
+    let needed = budget.needed(progress).map_or(0.0, |needed| 1.0 / needed.max(1.0));
+    let fraction = samples.max(time).max(error).max(needed);
     if fraction.is_finite() { fraction.clamp(0.0, 1.0) } else { 0.0 }
 }
 
 /// Samples per element at which the stated error is likely to be what is asked for: it falls with their root.
 pub(super) fn samples_wanted(budget: &JobBudget, progress: &Progress) -> f64 {
+    if let Some(needed) = budget.needed(progress) {
+        return f64::from(progress.samples_per_element) * needed;
+    }
     match (budget.target_rmse, progress.estimated_rmse) {
         (Some(target), Some(now)) if now.is_finite() && target > 0.0 => {
             f64::from(progress.samples_per_element) * f64::from(now / target).powi(2)
@@ -142,18 +168,33 @@ mod tests {
         assert_eq!(ends_at(0.01, 3.0, 1.0), 4.0);
     }
 
+    fn half_a_round(samples: u32) -> Progress {
+        let begun = Progress::at_once(rebake_core::Pass::Direct, samples, None);
+        Progress { round_samples: samples, round_fraction: 0.5, ..begun }
+    }
+
+    #[test]
+    fn an_edit_goes_on_for_as_long_as_its_noise_is_seen() {
+        let budget = JobBudget { samples_per_element: 64, max_seconds: None, target_rmse: None, by_error: true };
+        let explicit = JobBudget { by_error: false, ..budget };
+        let at = |needed| Progress { needed, ..half_a_round(8) };
+        assert_eq!(round_samples(&budget, &at(None), 8), 8, "nothing is known");
+        assert_eq!(round_samples(&budget, &at(Some(0.9)), 8), 0);
+        assert_eq!(round_samples(&budget, &at(Some(1.01)), 8), 2, "a quarter at least");
+        assert_eq!(round_samples(&budget, &at(Some(1.6)), 8), 5);
+        assert_eq!(round_samples(&budget, &at(Some(f32::INFINITY)), 8), 8);
+        assert_eq!(round_samples(&explicit, &at(Some(0.1)), 8), 8, "what was asked for is done");
+        assert_eq!(samples_wanted(&budget, &at(Some(1.5))), 12.0);
+        assert_eq!(fraction(&budget, &at(Some(1.25)), 0.0), 0.8);
+        assert_eq!(fraction(&explicit, &at(Some(1.25)), 0.0), 12.0 / 64.0);
+        assert_eq!((budget.both(budget), budget.both(explicit)), (budget, explicit));
+    }
+
     #[test]
     fn the_nearest_bound_counts() {
-        let budget = JobBudget { samples_per_element: 100, max_seconds: Some(10.0), target_rmse: Some(0.1) };
-        let mut progress = Progress {
-            pass: rebake_core::Pass::Direct,
-            samples_per_element: 10,
-            round_samples: 10,
-            round_fraction: 0.5,
-            pass_share: 0.0,
-            rays: 0,
-            estimated_rmse: None,
-        };
+        let budget =
+            JobBudget { samples_per_element: 100, max_seconds: Some(10.0), target_rmse: Some(0.1), by_error: false };
+        let mut progress = half_a_round(10);
         assert_eq!(fraction(&budget, &progress, 1.0), 0.15);
         assert_eq!(fraction(&budget, &progress, 5.0), 0.5);
         progress.estimated_rmse = Some(0.125);

@@ -179,7 +179,7 @@ const LIMITS: QueueLimits = QueueLimits { queued_per_scene: 6, queued: 12, finis
 
 /// What the next life of the service makes of a queue, by what is stored.
 fn restarted(queue: &Queue, now: Timestamp) -> Queue {
-    let budget = JobBudget { samples_per_element: 1, max_seconds: None, target_rmse: None };
+    let budget = JobBudget { samples_per_element: 1, max_seconds: None, target_rmse: None, by_error: false };
     let mut next = Queue::new(LIMITS);
     for job in queue.iter() {
         let record = JobRecord { job: job.clone(), spec: JobSpec::new(budget, 1, 0) };

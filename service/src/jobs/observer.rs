@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::Jobs;
-use super::budget::{JobBudget, Pace, fraction, remaining_ms, samples_wanted};
+use super::budget::{JobBudget, Pace, fraction, remaining_ms, round_samples, samples_wanted};
 use super::forecast::Forecast;
 use super::phases::PhaseClock;
 use super::piece::{Mark, Piece, Reached, Yields};
@@ -266,6 +266,7 @@ impl Observer for JobObserver<'_> {
     fn plan_round(&self, so_far: &Progress, proposed: u32) -> u32 {
         self.progress(so_far);
         let mut state = self.lock();
+        let proposed = round_samples(&self.budget, so_far, proposed);
         let samples = match self.budget.max_seconds {
             None => proposed,
             Some(max) => {

@@ -37,7 +37,7 @@ pub(super) fn bake_again(app: &Arc<App>, scene: &Arc<SceneEntry>) {
     }
     let mut head = scene.head.blocking_lock();
     let samples_per_element = app.config.defaults.bake_samples;
-    let default = JobBudget { samples_per_element, max_seconds: None, target_rmse: None };
+    let default = JobBudget { samples_per_element, max_seconds: None, target_rmse: None, by_error: false };
     let budget = scene.target().unwrap_or(default);
     let mut jobs = head.jobs;
     let seed = crate::jobs::seeds::next_seed(app.config.seed, &mut jobs);

@@ -103,7 +103,8 @@ mod tests {
     use crate::sizing::StoredSpread;
 
     fn job(number: u64, scene: u64) -> JobRecord {
-        let budget = JobBudget { samples_per_element: 4, max_seconds: Some(0.1), target_rmse: Some(1e-3) };
+        let budget =
+            JobBudget { samples_per_element: 4, max_seconds: Some(0.1), target_rmse: Some(1e-3), by_error: true };
         let job = Job::new(number, scene, JobKind::Bake, Priority::High, Timestamp::now());
         JobRecord { job, spec: JobSpec::new(budget, u64::MAX - 1, 0) }
     }
