@@ -29,10 +29,10 @@ from rebake import (  # noqa: E402
     Client, Hide, Insert, InsertLight, LightChange, Material, Move, MoveLight, PointLight, Problem, Remove, RemoveLight, Show,
 )
 
-#: What a full service may answer, and what two turns of undo and redo may meet.
+#: What a full service may answer, and what two turns of undo and redo, or a cancel of what is just done, may meet.
 EXPECTED = {
     "queue-full", "nothing-to-undo", "too-many-answers", "out-of-memory", "too-many-scenes", "too-many-assets", "asset-needed",
-    "out-of-storage",
+    "out-of-storage", "job-ended",
 }
 
 

@@ -7,15 +7,14 @@ The sky is made here: a horizon that is brighter to one side, a dark ground, a b
 the file's directional light. What blends is left out of the scene. Needs what check.py needs, and httpx for the Python client.
 Ends with 1 where the mean of direct or of indirect light differs by more than 1 % and its error.
 """
-import json
 import os
-import struct
 import subprocess
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
-from common import arguments, baked, load_scene, nodes, prepare_service, radiance_at, read_document  # noqa: E402
+from common import (  # noqa: E402
+    arguments, baked, load_scene, nodes, prepare_service, radiance_at, read_document, without_blending)
 
 SKY_TURN = 40.0
 DISC = 64           # directions that stand for the sun's disc
@@ -38,23 +37,6 @@ def outside(args):
     options += [f"--spacing={args.spacing}"] if args.spacing else []
     again = [python, __file__, "--inside", args.scene, "--binary", binary, "--work", args.work, *options]
     return subprocess.run(again, env=environment).returncode
-
-
-def without_blending(path, to):
-    """Writes a binary glTF without the primitives that blend, but for that the same."""
-    document, binary = read_document(path)
-    is_blend = [material.get("alphaMode") == "BLEND" for material in document["materials"]]
-    for mesh in document["meshes"]:
-        mesh["primitives"] = [p for p in mesh["primitives"] if not is_blend[p["material"]]] or mesh["primitives"]
-    empty = {i for i, mesh in enumerate(document["meshes"]) if any(is_blend[p["material"]] for p in mesh["primitives"])}
-    for node in document["nodes"]:
-        if node.get("mesh") in empty:
-            del node["mesh"]
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    size = 12 + 8 + len(text) + 8 + len(binary)
-    head = struct.pack("<4sII", b"glTF", 2, size) + struct.pack("<I4s", len(text), b"JSON")
-    to.write_bytes(head + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary)
 
 
 def sky_picture():
