@@ -23,8 +23,9 @@ const LIGHT_SAMPLES: u32 = 4;
 /// An element that sees less than this part of its cells is behind what hides the rest, unless it looks out as they do.
 const LEAST_SHARE: f32 = 0.4;
 
-/// Part of its neighbours' way out that it looks out with at least.
-const LEAST_OPEN: f32 = 0.5;
+/// It does where as much of the world is to be seen from it as this part of what is seen from there, by so many rays.
+const LEAST_OPEN: f32 = 0.8;
+const OPEN_RAYS: u32 = 128;
 
 /// Whether an element is inside a solid. Most of its rays meet the backs of closed objects that light does not enter,
 /// or all of them meet some back that no light comes from (objects that stand on a floor often have no bottom) and no
@@ -115,11 +116,11 @@ fn openness(world: &World, slot: u32) -> f32 {
         let ray = Ray { origin, direction, t_min: 0.0, t_max: world.spacing() };
         world.trees.closest_opaque(&ray).is_none()
     };
-    (0..ALL_RAYS).filter(|_| is_free()).count() as f32 / ALL_RAYS as f32
+    (0..OPEN_RAYS).filter(|_| is_free()).count() as f32 / OPEN_RAYS as f32
 }
 
-/// Whether less of the world is to be seen from an element than from those around it: light of theirs stands for its own.
-/// Between slats, or on a ledge whose other corners are in a wall, its own is the better.
+/// Whether less of the world is to be seen from an element than from those beside it that it does not see: light of theirs
+/// stands for its own. Between slats, or on a ledge whose other corners are in a wall, its own is the better.
 fn is_less_open(world: &World, slot: u32, around: impl Iterator<Item = u32>) -> bool {
     let (sum, count) = around.fold((0.0, 0.0), |(sum, count), other| (sum + openness(world, other), count + 1.0));
     openness(world, slot) * count < LEAST_OPEN * sum
@@ -159,13 +160,14 @@ pub(super) fn behind_surfaces(world: &World, placed: &Placed, touched: Touched) 
         }
     }
     let is_behind = |sight: Sight| sight.seen < LEAST_SHARE * sight.cells as f32;
-    let around = |slot: u32| {
+    let unseen = |slot: u32| {
         let side = placed.sides().find(|side| side.contains(&slot)).map_or(0, |side| side.start);
-        let elements = placed.layout.neighbours_of(slot - side).iter();
-        elements.map(move |element| side + element).filter(|slot| is_outside(*slot))
+        let around = placed.layout.neighbours_of(slot - side).iter().map(move |element| side + element);
+        let is_shared = placed.layout.is_shared();
+        around.filter(move |&other| is_outside(other) && free_part(world, slot, other, is_shared) < 1.0)
     };
     let found: Vec<u32> = sights.into_iter().filter(|(_, sight)| is_behind(*sight)).map(|(slot, _)| slot).collect();
-    let found = found.into_par_iter().filter(|&slot| is_less_open(world, slot, around(slot)));
+    let found = found.into_par_iter().filter(|&slot| is_less_open(world, slot, unseen(slot)));
     let found: Vec<u32> = found.collect();
     let kept = world.validity.behind_of(&placed.placement.elements).iter().copied().filter(|slot| !is_asked(*slot));
     let mut all: Vec<u32> = found.into_iter().chain(kept).collect();
@@ -205,12 +207,16 @@ fn asked(world: &World, placed: &Placed, touched: Touched) -> Option<Asked> {
 
 /// What each corner of a cell sees of it: as far as it sees along both edges.
 fn seen_of_cell(world: &World, corners: [u32; 3], is_shared: bool) -> [(u32, f32); 3] {
-    let free_part = |from: u32, to: u32| match is_shared && !world.blocked_over(from, to) {
-        true => 1.0,
-        false => world.free_part(from, to),
-    };
     [0, 1, 2].map(|k| {
         let [corner, next, last] = [0, 1, 2].map(|step| corners[(k + step) % 3]);
-        (corner, free_part(corner, next) * free_part(corner, last))
+        (corner, free_part(world, corner, next, is_shared) * free_part(world, corner, last, is_shared))
     })
+}
+
+/// Part of the way between two elements that is free; of elements that several vertices share, over what bulges there.
+fn free_part(world: &World, from: u32, to: u32, is_shared: bool) -> f32 {
+    match is_shared && !world.blocked_over(from, to) {
+        true => 1.0,
+        false => world.free_part(from, to),
+    }
 }
