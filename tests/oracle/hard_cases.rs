@@ -159,7 +159,7 @@ fn scales_and_distances() {
 }
 
 /// Runs of what takes a hundred edits each.
-const LONG_RUNS: u64 = 6;
+const LONG_RUNS: u64 = 8;
 
 /// Fifty times a crate comes and goes; `after_pair` sees the map after each. Answers the world and map before and
 /// after.
