@@ -20,10 +20,10 @@ const ALL_RAYS: u32 = 32;
 /// Samples of each light that have to miss an element that only sees backs.
 const LIGHT_SAMPLES: u32 = 4;
 
-/// An element that sees less than this part of its cells is behind what hides the rest, unless it looks out as they do.
+/// An element that sees less than this part of its cells is behind what hides the rest, unless it is as open as they are.
 const LEAST_SHARE: f32 = 0.4;
 
-/// It does where as much of the world is to be seen from it as this part of what is seen from there, by so many rays.
+/// It is where it has this part of the openness of its neighbours that it does not see, by so many rays each.
 const LEAST_OPEN: f32 = 0.8;
 const OPEN_RAYS: u32 = 128;
 
@@ -107,7 +107,7 @@ impl Sight {
     }
 }
 
-/// How much of the light that an element would gather comes from farther away than the spacing, 0 to 1.
+/// Part of an element's hemisphere, by the cosine, in which nothing is nearer than the spacing.
 fn openness(world: &World, slot: u32) -> f32 {
     let (origin, n) = world.ray_origin(slot as usize);
     let mut rng = Pcg32::new(0x0be7, u64::from(slot));
@@ -119,14 +119,18 @@ fn openness(world: &World, slot: u32) -> f32 {
     (0..OPEN_RAYS).filter(|_| is_free()).count() as f32 / OPEN_RAYS as f32
 }
 
-/// Whether less of the world is to be seen from an element than from those beside it that it does not see: light of theirs
-/// stands for its own. Between slats, or on a ledge whose other corners are in a wall, its own is the better.
-fn is_less_open(world: &World, slot: u32, around: impl Iterator<Item = u32>) -> bool {
-    let (sum, count) = around.fold((0.0, 0.0), |(sum, count), other| (sum + openness(world, other), count + 1.0));
+/// Whether an element is less open than its neighbours that it does not see, of which `may_stand_in` says whether there is
+/// light: theirs stands for its own. Between slats, or on a ledge whose other corners are in a wall, its own is the better.
+fn is_less_open(world: &World, placed: &Placed, slot: u32, may_stand_in: impl Fn(u32) -> bool) -> bool {
+    let side = placed.sides().find(|side| side.contains(&slot)).map_or(0, |side| side.start);
+    let neighbours = placed.layout.neighbours_of(slot - side).iter().map(|element| side + element);
+    let is_seen = |other: u32| free_part(world, slot, other, placed.layout.is_shared()) >= 1.0;
+    let unseen = neighbours.filter(|&other| may_stand_in(other) && !is_seen(other));
+    let (sum, count) = unseen.fold((0.0, 0.0), |(sum, count), other| (sum + openness(world, other), count + 1.0));
     openness(world, slot) * count < LEAST_OPEN * sum
 }
 
-/// Elements of an object, outside of solids, that see next to nothing of their cells, which see more of the world,
+/// Elements of an object, outside of solids, that see next to nothing of their cells and are less open than what is there,
 /// ascending. Where nothing has changed about their cells, they are those that were.
 pub(super) fn behind_surfaces(world: &World, placed: &Placed, touched: Touched) -> Vec<u32> {
     let behind = world.validity.behind();
@@ -159,18 +163,12 @@ pub(super) fn behind_surfaces(world: &World, placed: &Placed, touched: Touched) 
             sights.entry(slot).or_default().add(1.0);
         }
     }
-    let is_behind = |sight: Sight| sight.seen < LEAST_SHARE * sight.cells as f32;
-    let unseen = |slot: u32| {
-        let side = placed.sides().find(|side| side.contains(&slot)).map_or(0, |side| side.start);
-        let around = placed.layout.neighbours_of(slot - side).iter().map(move |element| side + element);
-        let is_shared = placed.layout.is_shared();
-        around.filter(move |&other| is_outside(other) && free_part(world, slot, other, is_shared) < 1.0)
-    };
-    let found: Vec<u32> = sights.into_iter().filter(|(_, sight)| is_behind(*sight)).map(|(slot, _)| slot).collect();
-    let found = found.into_par_iter().filter(|&slot| is_less_open(world, slot, unseen(slot)));
-    let found: Vec<u32> = found.collect();
+    let is_cut_off = |sight: Sight| sight.seen < LEAST_SHARE * sight.cells as f32;
+    let cut_off: Vec<u32> = sights.into_iter().filter(|(_, sight)| is_cut_off(*sight)).map(|(slot, _)| slot).collect();
+    let found = cut_off.into_par_iter().filter(|&slot| is_less_open(world, placed, slot, is_outside));
+    let mut all: Vec<u32> = found.collect();
     let kept = world.validity.behind_of(&placed.placement.elements).iter().copied().filter(|slot| !is_asked(*slot));
-    let mut all: Vec<u32> = found.into_iter().chain(kept).collect();
+    all.extend(kept);
     all.sort_unstable();
     all
 }
