@@ -57,7 +57,11 @@ pub fn light_at(
     assert_eq!(map.len(), world.slots(), "a light map has one value per slot");
     let gathers = options.part != LightPart::Direct;
     let total: Vec<Vec3> = (0..map.len()).filter(|_| gathers).map(|slot| map.total(slot)).collect();
-    let rough = if gathers { Rough::new(world, &map.light.direct, &[Vec3::ONE]) } else { Rough::default() };
+    let rough = if gathers {
+        Rough::new(world, |slot| map.light.direct[slot as usize].element_sum())
+    } else {
+        Rough::default()
+    };
     let field = Field { total: &total, direct: &map.light.direct, rough: &rough };
     let samples = options.samples.max(2);
     let shares = shares(samples);

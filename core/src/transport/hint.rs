@@ -33,7 +33,7 @@ impl Hint {
 
     /// From [`Hint::direct`].
     pub(crate) fn new<V: Value>(world: &World, direct: &[V], weights: &[Vec3], seed: u64, work: &Work) -> Hint {
-        let rough = Rough::new(world, direct, weights);
+        let rough = Rough::new(world, |slot| direct[slot as usize].weighted(weights).element_sum());
         let radiance = |target: &Target| {
             let corners = target.elements.map(|e| direct[e as usize].weighted(weights));
             let mean = corners.into_iter().sum::<Vec3>() / 3.0;

@@ -117,17 +117,16 @@ pub(crate) struct Rough {
     cells: Bits,
 }
 
-/// Difference of the direct light at a cell's corners over their mean from which on it is rough.
+/// Difference of the direct light at a cell's corners over the mean of its size there from which on it is rough.
 const ROUGH: f32 = 0.5;
 
 impl Rough {
-    /// Judges by an estimate of the direct light per slot that nothing else uses: the choice must not know the noise of
+    /// Judges by an estimate of the direct light per slot, or of its change, that nothing else uses: the choice must not know the noise of
     /// what it chooses between.
-    pub(crate) fn new<V: Value>(world: &World, direct: &[V], weights: &[Vec3]) -> Rough {
-        let light = |e: u32| direct[e as usize].weighted(weights).element_sum();
+    pub(crate) fn new(world: &World, direct: impl Fn(u32) -> f32 + Sync) -> Rough {
         let is_rough = |corners: [u32; 3]| {
-            let [a, b, c] = corners.map(light);
-            a.max(b).max(c) - a.min(b).min(c) > ROUGH / 3.0 * (a + b + c)
+            let [a, b, c] = corners.map(&direct);
+            a.max(b).max(c) - a.min(b).min(c) > ROUGH / 3.0 * (a.abs() + b.abs() + c.abs())
         };
         let of_object = |placed: &Arc<Placed>| -> Vec<u32> {
             let rough = |patch: &Patch| {

@@ -91,6 +91,12 @@ impl<'a> DirectChange<'a> {
         Ok(())
     }
 
+    /// What lamps alone change, where everything stands as it did; none where anything does not, or no lamp changes.
+    pub(super) fn of_lamps(&self) -> Option<LampChange<'_>> {
+        let pairs: Vec<&Pair> = self.pairs.iter().filter(|pair| pair.before != pair.after).collect();
+        (self.sphere.is_none() && !pairs.is_empty()).then_some(LampChange { direct: self, pairs })
+    }
+
     /// Those of some slots whose direct light may change, and perhaps some beside them.
     pub(super) fn may_change(&self, slots: &[u32]) -> Vec<u32> {
         let positions = self.transition.after.positions();
@@ -183,6 +189,42 @@ impl<'a> DirectChange<'a> {
         let (a, b) = (radius / object_distance, light_radius / light_distance);
         let cos_sum = ((1.0 - a * a) * (1.0 - b * b)).sqrt() - a * b;
         to_object.dot(to_light) >= (cos_sum - 1e-4) * object_distance * light_distance
+    }
+}
+
+/// How the light of lamps changes that comes straight from them, at any point.
+pub(super) struct LampChange<'a> {
+    direct: &'a DirectChange<'a>,
+    /// Those that change.
+    pairs: Vec<&'a Pair<'a>>,
+}
+
+/// So many lights are sampled each: one that moves goes and comes, and either alone would be noise.
+const EACH: usize = 2;
+
+impl LampChange<'_> {
+    /// One sample of the change at a point with a normal, irradiance / π.
+    #[inline]
+    pub(super) fn at<V: Value>(&self, at: (Vec3, Vec3), rng: &mut Pcg32, rays: &mut u64) -> V {
+        let mut light = V::default();
+        if self.pairs.len() <= EACH {
+            self.pairs.iter().for_each(|pair| self.add(pair, at, 1.0, rng, rays, &mut light));
+        } else {
+            let count = self.pairs.len() as f32;
+            let chosen = ((rng.next_f32() * count) as usize).min(self.pairs.len() - 1);
+            self.add(self.pairs[chosen], at, count, rng, rays, &mut light);
+        }
+        light
+    }
+
+    #[inline]
+    fn add<V: Value>(&self, pair: &Pair, at: (Vec3, Vec3), by: f32, rng: &mut Pcg32, rays: &mut u64, light: &mut V) {
+        light.add_to_layer(pair.emitter.layer, self.direct.pair_change(pair, 1, at.0, at.1, rng, rays) * by);
+    }
+
+    /// Whether one sample tells all: none of them has an extent.
+    pub(super) fn is_exact(&self) -> bool {
+        self.pairs.iter().all(|pair| pair.emitter.is_delta())
     }
 }
 

@@ -5,8 +5,9 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::Stage;
 use super::allotment::{ALBEDO, Allotment};
+use super::direct::LampChange;
+use super::extent::Extent;
 use super::updater::{CHUNK, Updater};
 use crate::job::{Canceled, Pass};
 use crate::lightmap::LightValues;
@@ -14,7 +15,7 @@ use crate::random::{PartSeed, Pcg32, subseed};
 use crate::rounds::Round;
 use crate::solve::{Exchange, Paths, Rows, Solvable};
 use crate::space::Patch;
-use crate::transport::{Effort, Radiance, Source, Spots, Surfel, gather};
+use crate::transport::{Effort, Radiance, Rough, Source, Spots, Surfel, gather};
 use crate::world::World;
 
 /// Samples of the propagation per representative and round: at least, at most.
@@ -23,6 +24,9 @@ const PROPAGATION_SAMPLES: (u32, u32) = (8, 64);
 /// Part of them that a change gets that drowns in the noise of the old map.
 const LEAST_WEIGHT: f64 = 0.25;
 
+/// Samples of direct light per element that tell where its change is rough.
+const ROUGH_SAMPLES: u32 = 4;
+
 /// From so many samples on X is gathered element by element near the edit: before, noise hides what interpolation gets
 /// wrong.
 const FINE_FROM: u32 = 8;
@@ -30,6 +34,8 @@ const FINE_FROM: u32 = 8;
 /// Where paths look for a change, as it was estimated first.
 pub(super) struct Aims {
     spots: Option<Spots>,
+    /// Where what lamps change must not be looked up.
+    rough: Rough,
     allotment: Allotment,
 }
 
@@ -50,6 +56,9 @@ pub(super) struct Change<'a, V> {
     /// S alone: new slots have gathered ΔD and the repainted surfaces already.
     seen_by_new: Vec<V>,
     is_new: Vec<bool>,
+    /// What lamps change, where nothing else changes direct light: it is sampled where a bake samples it, at near surfaces
+    /// and where interpolation between elements would be off.
+    lamps: Option<LampChange<'a>>,
     /// Change of albedo per part, and the light that it reflects; none where nothing was repainted.
     repainted: Option<(&'a [Vec3], &'a [V])>,
     /// How much light has changed per slot ([`Change::amounts_of`]).
@@ -58,24 +67,44 @@ pub(super) struct Change<'a, V> {
 
 impl<V: Solvable> Change<'_, V> {
     /// Reflected change; with that of some bounces, where they are known.
-    fn source<'s>(
-        &'s self,
-        bounces: Option<&'s [V]>,
-        spots: Option<&'s Spots>,
-    ) -> Source<'s, impl Radiance<V> + 's, V> {
+    fn source<'s>(&'s self, bounces: Option<&'s [V]>, aims: &'s Aims) -> Source<'s, impl Radiance<V> + 's, V> {
         Source {
             radiance: move |slot: u32,
                             s: &Surfel,
                             near: bool,
                             share: Vec3,
-                            _: &mut Pcg32,
-                            _: &mut u64,
+                            rng: &mut Pcg32,
+                            rays: &mut u64,
                             light: &mut V| {
-                self.add_radiance(bounces, slot, s, near, share, light);
+                match self.lamps.as_ref().filter(|_| near || aims.rough.contains(s.cell)) {
+                    Some(lamps) => self.add_sampled(lamps, bounces, s, near, share, rng, rays, light),
+                    None => self.add_radiance(bounces, slot, s, near, share, light),
+                }
             },
             looked_up: &self.seen_by_old,
             skies: &[],
-            spots,
+            spots: aims.spots.as_ref(),
+        }
+    }
+
+    /// What lamps change at a surface, which is all there is but for bounces.
+    #[inline]
+    #[expect(clippy::too_many_arguments, reason = "the inner loop of all gathers")]
+    fn add_sampled(
+        &self,
+        lamps: &LampChange,
+        bounces: Option<&[V]>,
+        s: &Surfel,
+        near: bool,
+        share: Vec3,
+        rng: &mut Pcg32,
+        rays: &mut u64,
+        light: &mut V,
+    ) {
+        let by = share * s.albedo;
+        light.add_scaled(&lamps.at((s.ray_origin(), s.normal), rng, rays), by);
+        if let (Some(bounces), Some(footprint)) = (bounces.filter(|_| !near), s.footprint) {
+            footprint.for_each(bounces, |value, weight| light.add_scaled(value, by * weight));
         }
     }
 
@@ -144,7 +173,7 @@ impl<V: Solvable> Updater<'_, V> {
         let mut field = self.on_the_subset(&change, round, aims, known)?;
         if !near.is_empty() && round.earlier >= FINE_FROM {
             let bounces = known.map_or(&*field, |known| known.bounces);
-            let source = change.source(Some(bounces), aims.spots.as_ref());
+            let source = change.source(Some(bounces), aims);
             let seed = subseed(round.seed, 0x9410);
             let found = gather(world, &source, near, round.samples, &Effort::default(), seed, self.work)?;
             drop(source);
@@ -161,7 +190,7 @@ impl<V: Solvable> Updater<'_, V> {
         &self,
         change: &Change<V>,
         round: &Round,
-        Aims { spots, allotment }: &Aims,
+        aims: &Aims,
         known: Option<&Seen<V>>,
     ) -> Result<Vec<V>, Canceled> {
         let world = self.world;
@@ -169,8 +198,8 @@ impl<V: Solvable> Updater<'_, V> {
         let samples = (f64::from(samples) * self.weight_of(&change.amounts)).ceil() as u32;
         let seed = PartSeed::whole(subseed(round.seed, 0x9409));
         let rows = known.map_or(&self.rows, |known| known.rows);
-        let (rows, paths) = allotment.rows(world, &self.subset, rows, samples);
-        let source = change.source(known.map(|known| known.bounces), spots.as_ref());
+        let (rows, paths) = aims.allotment.rows(world, &self.subset, rows, samples);
+        let source = change.source(known.map(|known| known.bounces), aims);
         let paths = Paths::OfRows(&paths);
         let exchange = Exchange::trace(world, &self.subset, &Arc::new(rows), &source, paths, seed, self.work)?;
         let mut field = self.buffers.take();
@@ -192,14 +221,38 @@ impl<V: Solvable> Updater<'_, V> {
     }
 
     /// Where to look for a change.
-    pub(super) fn aims(&self, change: &Change<V>) -> Aims {
-        let Stage { guides, around, .. } = self.stage;
-        let there = |slot: usize| around.map_or_else(|| self.light[slot].weighted(guides), |around| around[slot]);
-        let amount = |slot: usize| there(slot).abs().element_sum() / 3.0;
-        Aims {
+    pub(super) fn aims(&self, change: &Change<V>, round: &Round) -> Result<Aims, Canceled> {
+        let rough = change.lamps.as_ref().map(|lamps| match lamps.is_exact() {
+            true => Ok(self.rough(&change.seen_by_old)),
+            false => self.rough_by_itself(round),
+        });
+        let before = self.light_before();
+        let amount = |slot: usize| before(slot).abs().element_sum() / 3.0;
+        Ok(Aims {
             spots: Spots::of_change(self.world, &change.seen_by_old, self.stage.guides),
+            rough: rough.transpose()?.unwrap_or_default(),
             allotment: Allotment::new(self.world, &self.subset, &change.amounts, amount),
-        }
+        })
+    }
+
+    /// Where a change of direct light is rough, from samples that nothing else uses: a choice must not know the noise of
+    /// what it chooses between.
+    fn rough_by_itself(&self, round: &Round) -> Result<Rough, Canceled> {
+        let mut change: Vec<V> = self.buffers.take();
+        change.clear();
+        change.resize(self.world.slots(), V::default());
+        let every = Extent::new(&self.direct_slots, &self.subset, self.world.slots(), |_| true);
+        let seed = subseed(round.seed, 0x940a);
+        self.direct.estimate(&every, &self.subset, ROUGH_SAMPLES, seed, self.work, &mut change)?;
+        self.world.validity.fill(&mut change);
+        let rough = self.rough(&change);
+        self.buffers.give(change);
+        Ok(rough)
+    }
+
+    fn rough(&self, change: &[V]) -> Rough {
+        let guides = self.stage.guides;
+        Rough::new(self.world, |slot| change[slot as usize].weighted(guides).element_sum())
     }
 
     /// What has changed, of changes on unchanged slots and values on new slots.
@@ -221,7 +274,9 @@ impl<V: Solvable> Updater<'_, V> {
         self.world.validity.fill(&mut seen_by_old);
         self.world.validity.fill(&mut seen_by_new);
         let repainted = self.repaint.as_deref().map(|repaint| (repaint, &*self.light));
-        let change = Change { seen_by_old, seen_by_new, is_new: self.new_flags(), repainted, amounts: Vec::new() };
+        let lamps = self.direct.of_lamps().filter(|_| self.transition.new_slots.is_empty() && repainted.is_none());
+        let is_new = self.new_flags();
+        let change = Change { seen_by_old, seen_by_new, is_new, lamps, repainted, amounts: Vec::new() };
         Change { amounts: change.amounts_of(self.world, self.stage.guides), ..change }
     }
 

@@ -50,7 +50,7 @@ pub(super) struct Updater<'a, V> {
     pub(super) subset: Subset,
     pub(super) rows: Arc<Rows>,
     pub(super) source: source::SourceTerm<'a>,
-    direct: direct::DirectChange<'a>,
+    pub(super) direct: direct::DirectChange<'a>,
     /// Change of albedo per part of the new world; none where nothing is repainted.
     pub(super) repaint: Option<Vec<Vec3>>,
     /// Memory only: nothing is read of it that was not written in the same round.
@@ -172,7 +172,7 @@ impl<'a, V: Solvable> Updater<'a, V> {
         let spots = self.spots(&out.direct);
         self.arriving(round, extents, (new_slots, None), spots.as_ref(), out)?;
         let change = self.change(out);
-        let aims = self.aims(&change);
+        let aims = self.aims(&change, round)?;
         let bounces = self.propagate(change, round, &aims, None, &[])?;
         Ok((Guide { spots, aims }, bounces))
     }
@@ -266,15 +266,21 @@ impl<'a, V: Solvable> Updater<'a, V> {
     /// Whether the change is so large beside the light that is left that a bake is the better update:
     /// what the subset gets wrong of it would show. The new slots' own light is no change.
     pub(super) fn outgrows_the_light(&self, LightValues { direct, indirect, .. }: &LightValues<V>) -> bool {
-        let (areas, light, Stage { guides, around, .. }) = (self.world.areas(), &self.light, self.stage);
+        let (areas, guides, before) = (self.world.areas(), self.stage.guides, self.light_before());
         let squares = |&slot: &u32| {
             let slot = slot as usize;
             let delta = (direct[slot] + indirect[slot]).weighted(guides);
-            let then = around.map_or_else(|| light[slot].weighted(guides), |a| a[slot]) + delta;
+            let then = before(slot) + delta;
             [delta, then].map(|light| f64::from(areas[slot]) * f64::from(light.length_squared()))
         };
         let [change, left] = sums(self.unchanged_slots.par_chunks(CHUNK), squares);
         change >= OUTGROWN * left && change > 0.0
+    }
+
+    /// All light that was there before the change, as it matters; none on new slots.
+    pub(super) fn light_before(&self) -> impl Fn(usize) -> Vec3 + Sync {
+        let (light, Stage { guides, around, .. }) = (&*self.light, self.stage);
+        move |slot| around.map_or_else(|| light[slot].weighted(guides), |around| around[slot])
     }
 
     pub(super) fn new_flags(&self) -> Vec<bool> {

@@ -124,7 +124,7 @@ fn openness(world: &World, slot: u32) -> f32 {
 fn is_less_open(world: &World, placed: &Placed, slot: u32, may_stand_in: impl Fn(u32) -> bool) -> bool {
     let side = placed.sides().find(|side| side.contains(&slot)).map_or(0, |side| side.start);
     let neighbours = placed.layout.neighbours_of(slot - side).iter().map(|element| side + element);
-    let is_seen = |other: u32| free_part(world, slot, other, placed.layout.is_shared()) >= 1.0;
+    let is_seen = |other: u32| part_between(world, slot, other, placed.layout.is_shared()) >= 1.0;
     let unseen = neighbours.filter(|&other| may_stand_in(other) && !is_seen(other));
     let (sum, count) = unseen.fold((0.0, 0.0), |(sum, count), other| (sum + openness(world, other), count + 1.0));
     openness(world, slot) * count < LEAST_OPEN * sum
@@ -207,12 +207,12 @@ fn asked(world: &World, placed: &Placed, touched: Touched) -> Option<Asked> {
 fn seen_of_cell(world: &World, corners: [u32; 3], is_shared: bool) -> [(u32, f32); 3] {
     [0, 1, 2].map(|k| {
         let [corner, next, last] = [0, 1, 2].map(|step| corners[(k + step) % 3]);
-        (corner, free_part(world, corner, next, is_shared) * free_part(world, corner, last, is_shared))
+        (corner, part_between(world, corner, next, is_shared) * part_between(world, corner, last, is_shared))
     })
 }
 
 /// Part of the way between two elements that is free; of elements that several vertices share, over what bulges there.
-fn free_part(world: &World, from: u32, to: u32, is_shared: bool) -> f32 {
+fn part_between(world: &World, from: u32, to: u32, is_shared: bool) -> f32 {
     match is_shared && !world.blocked_over(from, to) {
         true => 1.0,
         false => world.free_part(from, to),
