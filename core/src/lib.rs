@@ -24,6 +24,7 @@ mod focus;
 pub mod harmonics;
 mod hash;
 mod importance;
+mod indices;
 pub mod job;
 pub mod layers;
 pub mod lightmap;

@@ -27,7 +27,7 @@ pub(crate) fn scatter_of_neighbours<L: Linear, T: Linear>(
             let own = side.start as usize..side.end as usize;
             let first = own.start;
             let neighbours = |element: usize| {
-                let slots = placed.layout.neighbours_of(element as u32).iter().map(|&e| first + e as usize);
+                let slots = placed.layout.neighbours_of(element as u32).map(|e| first + e as usize);
                 slots.filter(|&slot| is_valid(slot))
             };
             let square = |element: usize| {
@@ -75,7 +75,7 @@ pub(crate) fn pooled_with_neighbours<T: Linear>(
                 if !estimated[first + element] {
                     return;
                 }
-                let slots = placed.layout.neighbours_of(element as u32).iter().map(|&e| first + e as usize);
+                let slots = placed.layout.neighbours_of(element as u32).map(|e| first + e as usize);
                 let (sum, count) = slots
                     .filter(|&slot| world.is_valid(slot) && estimated[slot])
                     .fold((T::default(), 0.0), |(sum, count), slot| (sum + variance(slot), count + 1.0));

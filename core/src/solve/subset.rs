@@ -165,9 +165,8 @@ impl Side {
         let mut alone = Vec::new();
         if !complete {
             let is_alone = |&element: &u32| {
-                let range = coarse.offsets[element as usize] as usize..coarse.offsets[element as usize + 1] as usize;
-                let known =
-                    range.into_iter().any(|e| !hidden.contains(back, e) && index[coarse.entries[e].0 as usize] != NONE);
+                let is_known = |e: usize| !hidden.contains(back, e) && index[coarse.representative_of(e)] != NONE;
+                let known = coarse.range_of(element).any(is_known);
                 !known && computed(element)
             };
             let all = (0..elements).into_par_iter().with_min_len(CHUNK);
@@ -188,11 +187,10 @@ impl Side {
     /// (index into `Subset::slots`, weight) of an element, heaviest first; the weights need not sum to 1.
     fn entries_of(&self, element: u32) -> impl Iterator<Item = (usize, f32)> {
         let coarse = &self.placed.coarse;
-        let first = coarse.offsets[element as usize] as usize;
-        let entries = coarse.entries_of(element).iter().enumerate();
-        entries.filter_map(move |(k, &(r, w))| {
-            let i = self.index[r as usize];
-            (i != NONE && !self.hidden.contains(self.back, first + k)).then_some((i as usize, w))
+        let entries = coarse.range_of(element).zip(coarse.entries_of(element));
+        entries.filter_map(move |(entry, (r, w))| {
+            let i = self.index[r];
+            (i != NONE && !self.hidden.contains(self.back, entry)).then_some((i as usize, w))
         })
     }
 

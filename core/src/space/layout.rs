@@ -252,7 +252,7 @@ impl Layout {
 
     /// Elements beside one along the surface, each once, ascending.
     #[inline]
-    pub(crate) fn neighbours_of(&self, element: u32) -> &[u32] {
+    pub(crate) fn neighbours_of(&self, element: u32) -> impl Iterator<Item = u32> + Clone + '_ {
         self.neighbours.of(element)
     }
 

@@ -1,11 +1,13 @@
 //! Which elements lie beside one another along a surface: one list per element, all behind one another.
 
+use crate::indices::Indices;
+
 /// Neighbours of every element.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Neighbours {
     /// Element `e` has `list[starts[e]..starts[e + 1]]`.
     starts: Vec<u32>,
-    list: Vec<u32>,
+    list: Indices,
 }
 
 impl Neighbours {
@@ -40,8 +42,7 @@ impl Neighbours {
             from = end as usize;
         }
         starts.push(list.len() as u32);
-        list.shrink_to_fit();
-        Neighbours { starts, list }
+        Neighbours { starts, list: list.into() }
     }
 
     /// How many elements there are.
@@ -50,13 +51,13 @@ impl Neighbours {
     }
 
     #[inline]
-    pub(super) fn of(&self, element: u32) -> &[u32] {
-        &self.list[self.starts[element as usize] as usize..self.starts[element as usize + 1] as usize]
+    pub(super) fn of(&self, element: u32) -> impl Iterator<Item = u32> + Clone + '_ {
+        self.list.range(self.starts[element as usize] as usize..self.starts[element as usize + 1] as usize)
     }
 
     /// Bytes held.
     pub(super) fn memory_bytes(&self) -> usize {
-        (self.starts.capacity() + self.list.capacity()) * size_of::<u32>()
+        self.starts.capacity() * size_of::<u32>() + self.list.memory_bytes()
     }
 }
 
@@ -67,7 +68,7 @@ mod tests {
     #[test]
     fn neighbours_share_a_triangle() {
         let neighbours = Neighbours::new(6, &[[0, 1, 2], [2, 1, 3], [4, 4, 0]]);
-        let lists: Vec<&[u32]> = (0..6).map(|element| neighbours.of(element)).collect();
+        let lists: Vec<Vec<u32>> = (0..6).map(|element| neighbours.of(element).collect()).collect();
         assert_eq!(lists, [&[1, 2, 4][..], &[0, 2, 3], &[0, 1, 3], &[1, 2], &[0], &[]]);
     }
 }

@@ -75,10 +75,10 @@ fn smoothed(world: &World, variance: &[f32]) -> Vec<f32> {
             let own = side.start as usize..side.end as usize;
             let variance = &variance[own.clone()];
             let mean = |(element, smooth): (usize, &mut f32)| {
-                let neighbours = placed.layout.neighbours_of(element as u32);
-                if !neighbours.is_empty() {
-                    let sum: f32 = neighbours.iter().map(|&other| variance[other as usize]).sum();
-                    *smooth = (variance[element] + 2.0 * sum / neighbours.len() as f32) / 3.0;
+                let of_neighbours = placed.layout.neighbours_of(element as u32).map(|other| variance[other as usize]);
+                let (sum, count) = of_neighbours.fold((0.0, 0.0), |(sum, count), other| (sum + other, count + 1.0));
+                if count > 0.0 {
+                    *smooth = (variance[element] + 2.0 * sum / count) / 3.0;
                 }
             };
             smooth[own].par_iter_mut().enumerate().with_min_len(CHUNK).for_each(mean);

@@ -123,7 +123,7 @@ fn openness(world: &World, slot: u32) -> f32 {
 /// light: theirs stands for its own. Between slats, or on a ledge whose other corners are in a wall, its own is the better.
 fn is_less_open(world: &World, placed: &Placed, slot: u32, may_stand_in: impl Fn(u32) -> bool) -> bool {
     let side = placed.sides().find(|side| side.contains(&slot)).map_or(0, |side| side.start);
-    let neighbours = placed.layout.neighbours_of(slot - side).iter().map(|element| side + element);
+    let neighbours = placed.layout.neighbours_of(slot - side).map(|element| side + element);
     let is_seen = |other: u32| part_between(world, slot, other, placed.layout.is_shared()) >= 1.0;
     let unseen = neighbours.filter(|&other| may_stand_in(other) && !is_seen(other));
     let (sum, count) = unseen.fold((0.0, 0.0), |(sum, count), other| (sum + openness(world, other), count + 1.0));
@@ -194,7 +194,7 @@ fn asked(world: &World, placed: &Placed, touched: Touched) -> Option<Asked> {
         });
         let elements: BTreeSet<u32> = touched.into_iter().flatten().collect();
         let around = elements.iter().flat_map(|&element| placed.layout.neighbours_of(element));
-        let grown = bounds_of(around.map(|&element| at(element)));
+        let grown = bounds_of(around.map(at));
         (elements, grown)
     };
     let (elements, boxes): (Vec<BTreeSet<u32>>, Vec<_>) = boxes.iter().map(of_box).unzip();

@@ -1,8 +1,11 @@
 //! Subset of an object's elements at which smooth light is evaluated, and the weights that carry values back to all.
 
+use std::ops::Range;
+
 use glam::{IVec3, Vec3};
 
 use crate::hash::FastMap;
+use crate::indices::Indices;
 
 /// Representatives of one side of an object and, per element, the representatives it is interpolated from.
 #[derive(Clone, Debug, Default)]
@@ -12,12 +15,17 @@ pub(crate) struct Coarse {
     /// m² of the elements that are interpolated from each, by weight.
     pub areas: Vec<f32>,
     /// `offsets[i]..offsets[i + 1]` are the entries of element `i`.
-    pub offsets: Vec<u32>,
-    /// (index into `representatives`, weight); the weights of one element sum to 1.
-    pub entries: Vec<(u32, f32)>,
+    offsets: Vec<u32>,
+    /// Per entry, an index into `representatives`.
+    entries: Indices,
+    /// Per entry, its weight over [`UNIT`]; those of one element sum to about that.
+    weights: Vec<u16>,
     /// How far an element is from its representatives at most, m.
     pub reach: f32,
 }
+
+/// What weights are stored in parts of: they take two bytes.
+const UNIT: f32 = u16::MAX as f32;
 
 /// At most this many representatives per element.
 const MAX_ENTRIES: usize = 4;
@@ -52,44 +60,50 @@ impl Coarse {
         chosen.sort_unstable_by_key(|(element, cell)| (cell.0, *element));
         let cell_index: FastMap<Cell, u32> = chosen.iter().map(|(_, cell)| *cell).zip(0..).collect();
         let representatives: Vec<u32> = chosen.into_iter().map(|(element, _)| element).collect();
-        let of_each = vec![0.0; representatives.len()];
-        let mut coarse = Coarse { representatives, areas: of_each, offsets: vec![0], entries: Vec::new(), reach: 0.0 };
-        for (p, n) in positions.iter().zip(normals) {
-            coarse.push_entries(*p, *n, positions, normals, radius, &cell_index);
-        }
-        for (element, area) in (0..).zip(areas) {
-            let (first, end) = (coarse.offsets[element] as usize, coarse.offsets[element + 1] as usize);
-            for (r, weight) in &coarse.entries[first..end] {
-                coarse.areas[*r as usize] += area * weight;
+        let around = Around { positions, normals, radius, representatives: &representatives, cell_index };
+        let (mut offsets, mut entries, mut weights, mut reach) = (vec![0], Vec::new(), Vec::new(), 0.0_f32);
+        let mut of_each = vec![0.0; representatives.len()];
+        for ((p, n), area) in positions.iter().zip(normals).zip(areas) {
+            for (r, weight) in around.entries(*p, *n) {
+                let weight = (weight * UNIT).round().max(1.0);
+                of_each[r as usize] += area * weight / UNIT;
+                reach = reach.max(p.distance(positions[representatives[r as usize] as usize]));
+                entries.push(r);
+                weights.push(weight as u16);
             }
+            offsets.push(entries.len() as u32);
         }
-        coarse.entries.shrink_to_fit();
-        coarse.offsets.shrink_to_fit();
-        coarse
+        weights.shrink_to_fit();
+        Coarse { representatives, areas: of_each, offsets, entries: entries.into(), weights, reach }
     }
+}
 
-    fn push_entries(
-        &mut self,
-        p: Vec3,
-        n: Vec3,
-        positions: &[Vec3],
-        normals: &[Vec3],
-        radius: f32,
-        cell_index: &FastMap<Cell, u32>,
-    ) {
-        let (side, x, y, z) = cell_of(p, n, radius);
+/// Representatives to interpolate from.
+struct Around<'a> {
+    positions: &'a [Vec3],
+    normals: &'a [Vec3],
+    radius: f32,
+    representatives: &'a [u32],
+    /// Of each cell, an index into `representatives`.
+    cell_index: FastMap<Cell, u32>,
+}
+
+impl Around<'_> {
+    /// (index into `representatives`, weight) for an element at a point with a normal, heaviest first; the weights sum to 1.
+    fn entries(&self, p: Vec3, n: Vec3) -> Vec<(u32, f32)> {
+        let (side, x, y, z) = cell_of(p, n, self.radius);
         let mut found: Vec<(u32, f32)> = Vec::with_capacity(27);
         for d in 0..27 {
             let step = IVec3::new(d % 3 - 1, d / 3 % 3 - 1, d / 9 - 1);
-            let Some(&r) = cell_index.get(&(side, x + step.x, y + step.y, z + step.z)) else { continue };
+            let Some(&r) = self.cell_index.get(&(side, x + step.x, y + step.y, z + step.z)) else { continue };
             let element = self.representatives[r as usize] as usize;
-            let w = kernel(p, n, positions[element], normals[element], radius);
+            let w = kernel(p, n, self.positions[element], self.normals[element], self.radius);
             if w > 0.0 {
                 found.push((r, w));
             }
         }
         if found.is_empty() {
-            found.push((cell_index[&(side, x, y, z)], 1.0));
+            found.push((self.cell_index[&(side, x, y, z)], 1.0));
         }
         found.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
         // Weights fall to zero at the first one that is left out, so that no jump appears where the set changes.
@@ -100,10 +114,8 @@ impl Coarse {
         }
         found.retain(|e| e.1 > 0.0);
         let total: f32 = found.iter().map(|e| e.1).sum();
-        let distances = found.iter().map(|(r, _)| p.distance(positions[self.representatives[*r as usize] as usize]));
-        self.reach = distances.fold(self.reach, f32::max);
-        self.entries.extend(found.iter().map(|(r, w)| (*r, w / total)));
-        self.offsets.push(self.entries.len() as u32);
+        found.iter_mut().for_each(|e| e.1 /= total);
+        found
     }
 }
 
@@ -128,16 +140,35 @@ fn nearest_to_mean(members: &[u32], positions: &[Vec3], areas: &[f32]) -> u32 {
 }
 
 impl Coarse {
-    /// (index into `representatives`, weight) of an element, heaviest first.
+    /// The entries of an element, heaviest first.
     #[inline]
-    pub(crate) fn entries_of(&self, element: u32) -> &[(u32, f32)] {
-        &self.entries[self.offsets[element as usize] as usize..self.offsets[element as usize + 1] as usize]
+    pub(crate) fn range_of(&self, element: u32) -> Range<usize> {
+        self.offsets[element as usize] as usize..self.offsets[element as usize + 1] as usize
+    }
+
+    /// How many entries there are.
+    pub(crate) fn entry_count(&self) -> usize {
+        self.entries.len()
+    }
+
+    /// Of an entry, the index into `representatives`.
+    #[inline]
+    pub(crate) fn representative_of(&self, entry: usize) -> usize {
+        self.entries.at(entry) as usize
+    }
+
+    /// (index into `representatives`, weight) of an element, heaviest first; the weights sum to about 1.
+    #[inline]
+    pub(crate) fn entries_of(&self, element: u32) -> impl Iterator<Item = (usize, f32)> + '_ {
+        let range = self.range_of(element);
+        let weights = self.weights[range.clone()].iter().map(|&weight| f32::from(weight) / UNIT);
+        self.entries.range(range).map(|r| r as usize).zip(weights)
     }
 
     /// Bytes held.
     pub(crate) fn memory_bytes(&self) -> usize {
-        (self.representatives.capacity() + self.areas.capacity()) * 4
-            + self.offsets.capacity() * 4
-            + self.entries.capacity() * 8
+        (self.representatives.capacity() + self.areas.capacity() + self.offsets.capacity()) * size_of::<u32>()
+            + self.entries.memory_bytes()
+            + self.weights.capacity() * size_of::<u16>()
     }
 }

@@ -108,12 +108,12 @@ fn borrow(placed: &Placed, areas: &[f32], values: &mut [Vec3], channel: usize, e
     let neighbours = placed.layout.neighbours_of(element as u32);
     let missing = -values[element][channel] * areas[element];
     let light = |e: u32| values[e as usize][channel].max(0.0) * areas[e as usize];
-    let there: f32 = neighbours.iter().map(|&e| light(e)).sum();
+    let there: f32 = neighbours.clone().map(light).sum();
     if there <= 0.0 {
         return;
     }
     let given = missing.min(there);
-    for &e in neighbours {
+    for e in neighbours {
         let value = &mut values[e as usize][channel];
         if *value > 0.0 {
             *value = (*value * (1.0 - given / there)).max(0.0);
@@ -167,7 +167,7 @@ mod tests {
         let mut values = vec![Vec3::ONE; world.slots()];
         values[7] = Vec3::splat(-0.5);
         world.without_negative(&mut values);
-        let beside = world.placed[0].layout.neighbours_of(7);
+        let beside: Vec<u32> = world.placed[0].layout.neighbours_of(7).collect();
         for (slot, value) in (0..).zip(&values) {
             let is_changed = slot == 7 || beside.contains(&slot);
             assert_eq!(*value != Vec3::ONE, is_changed, "slot {slot}");

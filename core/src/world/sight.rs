@@ -159,7 +159,7 @@ pub(super) fn of_touched_cells<T: Send>(
 fn hidden_entries(world: &World, placed: &Placed, touched: Touched, old: Option<&Hidden>) -> Hidden {
     let coarse = &placed.coarse;
     let n = placed.layout.len() as u32;
-    let entries = coarse.entries.len();
+    let entries = coarse.entry_count();
     let sides = if placed.with_back { 2 } else { 1 };
     let touched = touched.filter(|_| old.is_some());
     let reach = Vec3::splat(ROUNDED * coarse.reach);
@@ -172,11 +172,11 @@ fn hidden_entries(world: &World, placed: &Placed, touched: Touched, old: Option<
             let from = world.above(first + element);
             let lift = Vec3::splat(2.0 * world.lift(from));
             let range = match is_touched(touched, from - reach - lift, from + reach + lift) {
-                true => coarse.offsets[element as usize] as usize..coarse.offsets[element as usize + 1] as usize,
+                true => coarse.range_of(element),
                 false => 0..0,
             };
             range.filter_map(move |e| {
-                let to = world.above(first + coarse.representatives[coarse.entries[e].0 as usize]);
+                let to = world.above(first + coarse.representatives[coarse.representative_of(e)]);
                 let entry = e + if back { entries } else { 0 };
                 is_touched(touched, from, to).then(|| (entry, world.blocked(from, to)))
             })

@@ -241,7 +241,7 @@ fn fill_object(world: &World, placed: &Placed, validity: &Validity) -> Vec<Fill>
     let mut fills = Vec::new();
     for side in placed.sides() {
         let first = side.start;
-        let neighbours = |slot: u32| placed.layout.neighbours_of(slot - first).iter().map(move |other| first + other);
+        let neighbours = |slot: u32| placed.layout.neighbours_of(slot - first).map(move |other| first + other);
         let mut open: BTreeSet<u32> = validity.invalid_of(&side).iter().copied().collect();
         // How far behind the surface that hides them those are that are filled.
         let mut depths: BTreeMap<u32, f32> = BTreeMap::new();
