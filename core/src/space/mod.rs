@@ -51,7 +51,7 @@ use crate::surface::Surface;
 
 /// How surfaces are divided into elements: raised whenever the same scene is divided in another way, so that light maps
 /// that were kept are never read for elements that they are not of.
-pub const LAYOUT_VERSION: u32 = 2;
+pub const LAYOUT_VERSION: u32 = 3;
 
 /// All elements of a world and the way from triangles to them. Cheap to clone: an edit copies what it changes.
 #[derive(Clone, Debug, Default)]

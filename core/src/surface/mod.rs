@@ -9,6 +9,7 @@ mod see_through;
 #[cfg(test)]
 mod tests;
 mod topology;
+mod touching;
 mod weld;
 
 pub use self::build::object_area;

@@ -1,5 +1,6 @@
 //! Invariants of surfaces.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use glam::{DMat4, DQuat, DVec3, Vec3};
@@ -128,4 +129,38 @@ fn real_scenes_have_valid_surfaces() {
             }
         }
     }
+}
+
+/// A sphere as pages write it: at the poles and along the seam, vertices are apart by what sine and cosine are off.
+#[test]
+fn poles_and_seams_are_closed() {
+    let (columns, rows) = (16, 12);
+    let mut mesh = Mesh::default();
+    for row in 0..=rows {
+        for column in 0..=columns {
+            let theta = f64::from(row) / f64::from(rows) * std::f64::consts::PI;
+            let phi = f64::from(column) / f64::from(columns) * std::f64::consts::TAU;
+            let place = DVec3::new(-phi.cos() * theta.sin(), theta.cos(), phi.sin() * theta.sin()) * 0.3;
+            mesh.positions.push(place.as_vec3());
+            mesh.normals.push(place.normalize().as_vec3());
+        }
+    }
+    for row in 0..rows {
+        for column in 0..columns {
+            let [b, c] = [row, row + 1].map(|row| (row * (columns + 1) + column) as u32);
+            let [a, d] = [b + 1, c + 1];
+            if row > 0 {
+                mesh.triangles.push([a, b, d]);
+            }
+            if row < rows - 1 {
+                mesh.triangles.push([b, c, d]);
+            }
+        }
+    }
+    mesh.triangle_materials = vec![0; mesh.triangles.len()];
+    let surface = build(mesh);
+    let exact = 4.0 / 3.0 * std::f64::consts::PI * 0.3_f64.powi(3);
+    assert!(surface.closed && (surface.volume / exact - 1.0).abs() < 0.1, "{}", surface.volume);
+    let places: BTreeSet<[u32; 3]> = surface.positions.iter().map(|p| p.to_array().map(f32::to_bits)).collect();
+    assert_eq!(places.len(), 2 + (rows - 1) as usize * columns as usize);
 }

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DMat4, DVec3, Vec3};
 
-use super::{FileTriangle, Surface, SurfaceError};
+use super::{FileTriangle, Surface, SurfaceError, touching};
 use crate::hash::FastMap;
 use crate::scene::{Mesh, Object};
 
@@ -112,14 +112,17 @@ pub(crate) fn geometric_normal(a: Vec3, b: Vec3, c: Vec3) -> Option<Vec3> {
     (b - a).cross(c - a).try_normalize().map(DVec3::as_vec3)
 }
 
-/// In f64 up to the last step: scene space is near zero even where world space is far from it.
+/// In f64 up to the last step: scene space is near zero even where world space is far from it. Vertices that are meant to be
+/// one are.
 fn transform_positions(mesh: &Mesh, scene_from_object: DMat4) -> Result<Vec<Vec3>, SurfaceError> {
     let transform = |position: &Vec3| {
         // Adding zero turns −0 into 0.
         let position = scene_from_object.transform_point3(position.as_dvec3()).as_vec3() + Vec3::ZERO;
         position.is_finite().then_some(position).ok_or(SurfaceError::Transform)
     };
-    mesh.positions.iter().map(transform).collect()
+    let mut positions = mesh.positions.iter().map(transform).collect::<Result<Vec<Vec3>, _>>()?;
+    touching::join(&mut positions);
+    Ok(positions)
 }
 
 /// Zero vectors, also where the mesh has no normals at all, mark flat shading.
