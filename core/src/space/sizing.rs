@@ -97,7 +97,7 @@ impl Sizing {
     }
 
     /// m, no size is below.
-    pub(super) fn least(&self) -> f32 {
+    pub(crate) fn least(&self) -> f32 {
         self.bounds.0
     }
 

@@ -14,11 +14,14 @@ use super::{Coarse, Emitters, Placed, Resolution, Trees, Validity, World, WorldE
 use crate::allowed::check_spacing;
 use crate::bvh::{BuildQuality, Bvh};
 use crate::scene::{Object, Scene};
-use crate::space::{Albedos, Density, Distances, Elements, Layout, Part, Space, object_areas};
+use crate::space::{Albedos, Density, Distances, Elements, Layout, Part, Sizing, Space, object_areas};
 use crate::surface::{Facet, Facets, SeeThrough, Surface, facet_area, object_area};
 
 /// Edge of the cells that smooth light is evaluated in, in units of [`Resolution::smooth`].
 pub(crate) const COARSE_RADIUS: f32 = 2.5;
+
+/// How far apart elements lie at least, over their distance from the scene's middle: some steps of `f32` there.
+const FINEST: f32 = 4.0 * f32::EPSILON;
 
 /// As many elements as asked for, and so much more, are what was asked for.
 const ROUGHLY: f64 = 1.1;
@@ -182,8 +185,12 @@ impl Shape {
         let Shape { surface, see_through, facets } = self;
         let error = |source| WorldError::Surface { object: object.name.clone(), source };
         let spacing = resolution.density.of_object(object_area(object));
-        let sizing = resolution.sizing.as_deref().filter(|_| !object.is_inserted);
-        let distances = Distances { sizing, ..resolution.distances(object_area(object), options) };
+        let farthest = surface.positions.iter().map(|p| p.abs().max_element()).fold(0.0, f32::max);
+        let finest = FINEST * farthest;
+        let is_told = |sizing: &&Sizing| !object.is_inserted && sizing.least() >= finest;
+        let sizing = resolution.sizing.as_deref().filter(is_told);
+        let even = resolution.distances(object_area(object), options);
+        let distances = Distances { sizing, spacing: even.spacing.max(finest), shared: even.shared.max(finest) };
         let (layout, elements) = Layout::new(&surface, &distances, options.max_elements).map_err(error)?;
         let Elements { positions, normals, areas } = &elements;
         let albedos = Albedos::new(object, &surface, &layout, areas, options.max_albedo);
@@ -384,5 +391,19 @@ mod tests {
         assert_eq!(elements(&hidden, "ground"), 0);
         let shown = hidden.apply(&[Edit::Show { objects: vec!["ground".into()] }]).unwrap().after;
         assert_eq!(elements(&shown, "ground"), of_ground);
+    }
+
+    /// Steps of `f32` are 6 cm there: no subdivision gets below, and none is tried.
+    #[test]
+    fn far_from_everything_elements_are_as_far_apart_as_numbers_are() {
+        let far = Vec3::new(1e6, 0.0, 1e6);
+        let lone = Mesh::cuboid(far, far + Vec3::splat(2.0));
+        let near = Mesh::cuboid(Vec3::ZERO, Vec3::ONE);
+        let object = |(name, mesh)| Object::new(name, mesh, Material::diffuse(Vec3::splat(0.5)));
+        let objects = [("near", near.clone()), ("far", lone), ("near too", near)].map(object).to_vec();
+        let options = WorldOptions { spacing: Some(0.1), ..WorldOptions::default() };
+        let world = World::new(Scene::from_objects(objects), &options).unwrap();
+        let counts: Vec<u32> = world.objects().map(|object| object.element_count).collect();
+        assert!(counts[0] == counts[2] && counts[0] > 600 && (8..500).contains(&counts[1]), "{counts:?}");
     }
 }
