@@ -281,7 +281,10 @@ impl<'f> Materials<'f> {
             let problem = || malformed(place, &format!("its {name} is {value}, it must be within 0 and {most}"));
             if value.is_finite() { Ok(value.clamp(0.0, most)) } else { Err(problem()) }
         };
-        look.transmission = within(transmission.transmission_factor.0, "transmissionFactor", 1.0)?;
+        let pbr = &json.pbr_metallic_roughness;
+        // Metal lets nothing through. Where a texture says what is metal, it is not asked.
+        let metallic = if pbr.metallic_roughness_texture.is_none() { pbr.metallic_factor.0 } else { 0.0 };
+        look.transmission = within(transmission.transmission_factor.0, "transmissionFactor", 1.0)? * (1.0 - metallic);
         if look.transmission == 0.0 {
             return Ok(());
         }

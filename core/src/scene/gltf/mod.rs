@@ -239,6 +239,7 @@ fn read_objects(
         }
         let instances = instances::of_node(file, node, limits)?;
         for (number, world_from_object) in instances.into_iter().enumerate() {
+            let world_from_object = instances::with_thickness(world_from_object, &loaded.mesh);
             if !world_from_object.is_finite() || DMat3::from_mat4(world_from_object).determinant() == 0.0 {
                 warnings.add("nodes with a scale of zero are left out", place());
                 continue;

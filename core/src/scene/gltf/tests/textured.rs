@@ -324,6 +324,19 @@ fn glass_is_read_with_its_volume() {
     assert_eq!(passage.opacity, 0.25);
 }
 
+#[test]
+fn metal_lets_nothing_through() {
+    let glass =
+        ("\"doubleSided\": true", "\"extensions\": {\"KHR_materials_transmission\": {\"transmissionFactor\": 0.8}}");
+    let strength = (",\n    \"extensions\": {\"KHR_materials_emissive_strength\": {\"emissiveStrength\": 3}}", "");
+    for (metallic, transmission) in [("0", 0.8), ("0.25", 0.6), ("1", 0.0)] {
+        let metallic = ("\"metallicFactor\": 0", format!("\"metallicFactor\": {metallic}"));
+        let scene = load(&edited(&[glass, strength, (metallic.0, &metallic.1)])).unwrap();
+        let found = scene.objects[0].looks.first().and_then(|look| look.as_ref()).map_or(0.0, |look| look.transmission);
+        assert!((found - transmission).abs() < 1e-6, "{found} in place of {transmission}");
+    }
+}
+
 /// Pictures of numbers are linear: red is what goes through, green how deep it goes.
 #[test]
 fn glass_is_read_with_its_pictures() {
