@@ -11,7 +11,7 @@ use super::apply::Draft;
 use super::build;
 use super::check::error;
 use super::openings::Openings;
-use super::{Placed, Transition, Trees, Validity, World, probe};
+use super::{Emitter, Placed, Transition, Trees, Validity, World, probe};
 use crate::atlas::Atlas;
 use crate::bvh::{BuildQuality, Bvh};
 use crate::edit::{EditError, EditErrorKind};
@@ -24,9 +24,10 @@ impl Draft {
         scene.groups.retain(|light, _| names.contains(light.as_str()));
         // An object that is inserted and removed within the request leaves a trace in `touched` only, which is
         // harmless.
+        self.world.emitters = Arc::new(self.world.resolve_emitters());
+        self.open_to_new_lamps(before)?;
         let changed = !self.removed.is_empty() || !self.inserted.is_empty();
         let common = self.world.trees.clone();
-        self.world.emitters = Arc::new(self.world.resolve_emitters());
         if changed {
             self.build_small_trees();
             self.finish_new_objects()?;
@@ -63,6 +64,20 @@ impl Draft {
             filled_slots,
             after: world,
         })
+    }
+
+    /// Objects on whose backs lamps shine that come or move take new slots, which have a back.
+    fn open_to_new_lamps(&mut self, before: &World) -> Result<(), EditError> {
+        let was_there = |lamp: &Emitter| before.emitters.all().any(|old| old.name == lamp.name && old.same_shape(lamp));
+        let lit = self.world.lit_from_behind(|lamp| lamp.object.is_none() && !was_there(lamp));
+        for &index in &lit {
+            let object = Arc::clone(&self.world.scene.objects[index]);
+            self.replace_object(index, object)?;
+        }
+        if !lit.is_empty() {
+            self.world.emitters = Arc::new(self.world.resolve_emitters());
+        }
+        Ok(())
     }
 
     /// Trees of what was inserted.

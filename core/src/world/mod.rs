@@ -16,6 +16,7 @@ mod emitters;
 mod finish;
 mod hide;
 mod info;
+mod lamplit;
 mod lights;
 mod motion;
 mod objects;

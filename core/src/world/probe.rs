@@ -3,6 +3,7 @@
 
 use rayon::prelude::*;
 
+use super::lamplit::Lamps;
 use super::{Emitter, Placed, World};
 use crate::bvh::Ray;
 use crate::random::{Pcg32, subseed};
@@ -14,18 +15,14 @@ const RAYS: usize = 600_000;
 /// A back counts as seen from this part of all probe rays on.
 const SEEN: f64 = 2e-5;
 
-/// Per object: whether a double-sided surface is seen from its back by the scene's elements.
+/// Per object: whether a double-sided surface is seen from its back by the scene's elements, or lit there.
 pub(super) fn backs_seen(world: &World) -> Vec<bool> {
     let slots = world.slots();
-    let candidates: Vec<bool> = world
-        .placed
-        .iter()
-        .zip(&world.scene.objects)
-        .map(|(p, o)| o.materials.iter().any(|m| m.double_sided) && world.may_light_be_behind(p))
-        .collect();
+    let candidates: Vec<bool> = (0..world.placed.len()).map(|index| world.may_have_back(index)).collect();
     if slots == 0 || !candidates.iter().any(|c| *c) {
         return vec![false; candidates.len()];
     }
+    let lamps = Lamps::new(world, |_| true);
     let per_element = (RAYS / slots).clamp(1, 32);
     let step = (slots * per_element / RAYS).max(1);
     let hits: Vec<Vec<u32>> = (0..slots.div_ceil(step * 1024))
@@ -46,7 +43,8 @@ pub(super) fn backs_seen(world: &World) -> Vec<bool> {
     hits.into_iter().flatten().for_each(|key| counts[key as usize] += 1);
     let total = slots.div_ceil(step) * per_element;
     let seen = |count: usize| count as f64 > (SEEN * total as f64).max(2.0);
-    counts.iter().zip(candidates).map(|(&count, candidate)| candidate && seen(count)).collect()
+    let objects = world.placed.par_iter().zip(counts).zip(candidates);
+    objects.map(|((placed, count), candidate)| candidate && (seen(count) || lamps.reach_back_of(placed))).collect()
 }
 
 /// Key of the object whose reflecting back a probe ray meets.
@@ -98,6 +96,23 @@ impl World {
         2 * enclosed > others
     }
 
+    /// Whether an object may have elements on its back.
+    fn may_have_back(&self, index: usize) -> bool {
+        let (placed, object) = (&self.placed[index], &self.scene.objects[index]);
+        let is_double_sided = object.materials.iter().any(|material| material.double_sided);
+        is_double_sided && !placed.surface.triangles.is_empty() && self.may_light_be_behind(placed)
+    }
+
+    /// Objects without elements on their backs on which some lamps shine there, ascending.
+    pub(super) fn lit_from_behind(&self, is_asked: impl Fn(&Emitter) -> bool) -> Vec<usize> {
+        let lamps = Lamps::new(self, is_asked);
+        let is_lit = |&index: &usize| {
+            let placed = &self.placed[index];
+            !placed.with_back && self.may_have_back(index) && lamps.reach_back_of(placed)
+        };
+        if lamps.is_empty() { Vec::new() } else { (0..self.placed.len()).into_par_iter().filter(is_lit).collect() }
+    }
+
     /// Whether there may be light behind an object's surface. Inside of what is closed there is with a lamp; behind a
     /// closed surface that faces in, as flipped furniture does, is the scene, unless that is within it.
     fn may_light_be_behind(&self, placed: &Placed) -> bool {
@@ -133,13 +148,11 @@ fn contains(placed: &Placed, point: glam::Vec3) -> bool {
     crossings.count() % 2 == 1
 }
 
-/// Whether a newly placed double-sided, open object shows its back to the elements of the scene.
+/// Whether a newly placed double-sided, open object shows its back to the elements of the scene, or to lamps.
 pub(super) fn back_seen(world: &World, index: usize) -> bool {
     const PAIRS: u32 = 4096;
-    let (placed, object) = (&world.placed[index], &world.scene.objects[index]);
-    let surface = &placed.surface;
-    let has_back = object.materials.iter().any(|m| m.double_sided) && world.may_light_be_behind(placed);
-    if !has_back || surface.triangles.is_empty() {
+    let placed = &world.placed[index];
+    if !world.may_have_back(index) {
         return false;
     }
     let mut rng = Pcg32::new(0x5ee, u64::from(placed.key));
@@ -165,5 +178,5 @@ pub(super) fn back_seen(world: &World, index: usize) -> bool {
             backs += u32::from(hit.normal.dot(direction) > 0.0);
         }
     }
-    backs > 4 && f64::from(backs) > 0.01 * f64::from(seen)
+    backs > 4 && f64::from(backs) > 0.01 * f64::from(seen) || Lamps::new(world, |_| true).reach_back_of(placed)
 }
