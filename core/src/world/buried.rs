@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::sight::{Touched, is_touched, of_touched_cells};
 use super::{Placed, World, visible_light};
-use crate::bvh::Ray;
+use crate::bvh::{Hit, Ray};
 use crate::random::Pcg32;
 use crate::sampling::cosine_hemisphere;
 use crate::space::Patch;
@@ -107,31 +107,63 @@ impl Sight {
     }
 }
 
-/// Part of an element's hemisphere, by the cosine, in which nothing is nearer than the spacing.
+/// From this part of an element's hemisphere on that is the dark outside, an element that no lamp shines on is out there.
+const LEAST_OUTSIDE: f32 = 0.25;
+
+/// Whether an element is in the dark outside of everything, as what sticks out below a floor is: nobody looks at it, and it
+/// gets no light.
+fn is_outside(world: &World, slot: u32) -> bool {
+    if world.emitters.has_sky() || world.emitters.list.is_empty() {
+        return false;
+    }
+    let (origin, n) = world.ray_origin(slot as usize);
+    let mut rng = Pcg32::new(0x0be8, u64::from(slot));
+    let mut escapes = || {
+        let direction = cosine_hemisphere(n, rng.next_2d());
+        let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
+        world.trees.closest_opaque(&ray).is_none()
+    };
+    let escaped = (0..OPEN_RAYS).filter(|_| escapes()).count() as f32;
+    escaped >= LEAST_OUTSIDE * OPEN_RAYS as f32 && !is_lit(world, origin, n, &mut rng)
+}
+
+/// Part of an element's hemisphere, by the cosine, that light may come from: nothing is nearer than the spacing, nor is what
+/// is farther away the back of what has one side, or the dark outside.
 fn openness(world: &World, slot: u32) -> f32 {
     let (origin, n) = world.ray_origin(slot as usize);
     let mut rng = Pcg32::new(0x0be7, u64::from(slot));
+    // Without any lamp, nobody knows where light will come from.
+    let may_be_sky = world.emitters.has_sky() || world.emitters.list.is_empty();
     let mut is_free = || {
         let direction = cosine_hemisphere(n, rng.next_2d());
-        let ray = Ray { origin, direction, t_min: 0.0, t_max: world.spacing() };
-        world.trees.closest_opaque(&ray).is_none()
+        let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
+        let is_front = |hit: &Hit| hit.normal.dot(direction) < 0.0 || world.space.part(hit.triangle).double_sided;
+        world.trees.closest_opaque(&ray).map_or(may_be_sky, |hit| hit.t > world.spacing() && is_front(&hit))
     };
     (0..OPEN_RAYS).filter(|_| is_free()).count() as f32 / OPEN_RAYS as f32
 }
 
-/// Whether an element is less open than its neighbours that it does not see, of which `may_stand_in` says whether there is
-/// light: theirs stands for its own. Between slats, or on a ledge whose other corners are in a wall, its own is the better.
-fn is_less_open(world: &World, placed: &Placed, slot: u32, may_stand_in: impl Fn(u32) -> bool) -> bool {
-    let side = placed.sides().find(|side| side.contains(&slot)).map_or(0, |side| side.start);
-    let neighbours = placed.layout.neighbours_of(slot - side).map(|element| side + element);
-    let is_seen = |other: u32| part_between(world, slot, other, placed.layout.is_shared()) >= 1.0;
-    let unseen = neighbours.filter(|&other| may_stand_in(other) && !is_seen(other));
-    let (sum, count) = unseen.fold((0.0, 0.0), |(sum, count), other| (sum + openness(world, other), count + 1.0));
-    openness(world, slot) * count < LEAST_OPEN * sum
+/// Whether an element gets less light than its neighbours that it does not see: it is less open, or lamps shine on them alone.
+/// Theirs stands for its own then. Between slats, or on a ledge whose other corners are in a wall, its own is the better.
+fn is_in_shadow(world: &World, slot: u32, unseen: &[u32]) -> bool {
+    let sum: f32 = unseen.iter().map(|&other| openness(world, other)).sum();
+    let is_lit = |slot: u32| {
+        let (point, n) = world.ray_origin(slot as usize);
+        is_lit(world, point, n, &mut Pcg32::new(0x11f, u64::from(slot)))
+    };
+    openness(world, slot) * (unseen.len() as f32) < LEAST_OPEN * sum
+        || !is_lit(slot) && unseen.iter().copied().any(is_lit)
 }
 
-/// Elements of an object, outside of solids, that see next to nothing of their cells and are less open than what is there,
-/// ascending. Where nothing has changed about their cells, they are those that were.
+/// Neighbours that an element does not see.
+fn unseen_by(world: &World, placed: &Placed, slot: u32) -> Vec<u32> {
+    let side = placed.sides().find(|side| side.contains(&slot)).map_or(0, |side| side.start);
+    let neighbours = placed.layout.neighbours_of(slot - side).map(|element| side + element);
+    neighbours.filter(|&other| part_between(world, slot, other, placed.layout.is_shared()) < 1.0).collect()
+}
+
+/// Elements of an object, outside of solids, that see next to nothing of their cells and get less light than what is there, or
+/// that are outside of everything where what is there is not; ascending. Where nothing has changed about their cells, they are those that were.
 pub(super) fn behind_surfaces(world: &World, placed: &Placed, touched: Touched) -> Vec<u32> {
     let behind = world.validity.behind();
     let was_behind = |slot: u32| behind.binary_search(&slot).is_ok();
@@ -149,8 +181,8 @@ pub(super) fn behind_surfaces(world: &World, placed: &Placed, touched: Touched) 
         is_wanted().then(|| corners(patch).flat_map(seen).collect::<Vec<_>>())
     });
     let mut sights: BTreeMap<u32, Sight> = BTreeMap::new();
-    let is_outside = |slot: u32| world.is_valid(slot as usize) || was_behind(slot);
-    for (slot, seen) in cut.into_iter().flatten().filter(|(slot, _)| is_asked(*slot) && is_outside(*slot)) {
+    let is_in_no_solid = |slot: u32| world.is_valid(slot as usize) || was_behind(slot);
+    for (slot, seen) in cut.into_iter().flatten().filter(|(slot, _)| is_asked(*slot) && is_in_no_solid(*slot)) {
         sights.entry(slot).or_default().add(seen);
     }
     if !sights.is_empty() {
@@ -164,9 +196,16 @@ pub(super) fn behind_surfaces(world: &World, placed: &Placed, touched: Touched) 
         }
     }
     let is_cut_off = |sight: Sight| sight.seen < LEAST_SHARE * sight.cells as f32;
-    let cut_off: Vec<u32> = sights.into_iter().filter(|(_, sight)| is_cut_off(*sight)).map(|(slot, _)| slot).collect();
-    let found = cut_off.into_par_iter().filter(|&slot| is_less_open(world, placed, slot, is_outside));
-    let mut all: Vec<u32> = found.collect();
+    let is_behind = |&(slot, sight): &(u32, Sight)| {
+        let unseen: Vec<u32> =
+            unseen_by(world, placed, slot).into_iter().filter(|&slot| is_in_no_solid(slot)).collect();
+        is_cut_off(sight) && is_in_shadow(world, slot, &unseen)
+            || !unseen.is_empty() && is_outside(world, slot) && unseen.iter().any(|&slot| !is_outside(world, slot))
+    };
+    let partly_hidden: Vec<(u32, Sight)> =
+        sights.into_iter().filter(|(_, sight)| sight.seen < sight.cells as f32).collect();
+    let found = partly_hidden.into_par_iter().filter(is_behind);
+    let mut all: Vec<u32> = found.map(|(slot, _)| slot).collect();
     let kept = world.validity.behind_of(&placed.placement.elements).iter().copied().filter(|slot| !is_asked(*slot));
     all.extend(kept);
     all.sort_unstable();
