@@ -9,8 +9,8 @@ use crate::space::{Patch, Read};
 use crate::world::{Placed, World};
 
 /// The subdivided mesh with `values` (per slot) as float `COLOR_0`. Backs that have elements are triangles of their
-/// own, wound the other way. Vertices are in the order of slots; those of the file that share elements follow, with what
-/// they read ([`write_glb`]).
+/// own, wound the other way. Vertices are in the order of slots; those of the file that share elements follow, and corners of
+/// cells that reach into walls, with what they read ([`write_glb`]).
 ///
 /// # Errors
 /// [`ExportError`]: values that do not fit the world or are not finite, more than the format can hold.
@@ -89,7 +89,7 @@ impl Piece {
             opacities: (0..object.materials.len()).map(|material| object.mean_opacity(material)).collect(),
         };
         for is_back in [false, true].into_iter().take(sides) {
-            piece.add_cells(placed, &cells, is_back);
+            piece.add_cells(world, placed, &cells, is_back);
         }
         if placed.with_back {
             // Both copies drawn from either side would show one side's light on the other.
@@ -107,23 +107,31 @@ impl Piece {
         piece
     }
 
-    /// The triangles of one side. Corners that are no elements become vertices of their own.
-    fn add_cells(&mut self, placed: &Placed, cells: &[Patch], is_back: bool) {
+    /// The triangles of one side. Corners that are no elements, or show others, become vertices of their own.
+    fn add_cells(&mut self, world: &World, placed: &Placed, cells: &[Patch], is_back: bool) {
         let first = if is_back { placed.layout.len() as u32 } else { 0 };
-        let mut known: FastMap<([u32; 3], [u32; 3]), u32> = FastMap::default();
+        // By position, elements read and their weights.
+        let mut known: FastMap<[[u32; 3]; 3], u32> = FastMap::default();
         for patch in cells {
-            let reads = placed.layout.reads_of(patch);
+            let reads = world.shown_at(placed, patch, is_back);
             let [a, b, c] = patch.corners;
             let rounding = SAME * a.distance(b).max(b.distance(c)).max(c.distance(a));
             let [a, b, c] = [0, 1, 2].map(|k| {
                 let (read, at) = (reads[k].after(first), patch.corners[k]);
                 let is_there = |element: u32| self.positions[element as usize].distance(at) <= rounding;
-                if read.is_one() && (!placed.layout.is_shared() || is_there(read.elements[0])) {
+                let is_own = patch.elements[k] + first == read.elements[0];
+                if read.is_one() && if placed.layout.is_shared() { is_there(read.elements[0]) } else { is_own } {
                     return read.elements[0];
                 }
-                *known.entry((at.to_array().map(f32::to_bits), read.elements)).or_insert_with(|| {
-                    let normal = placed.surface.normals[placed.surface.triangles[patch.face as usize][k] as usize];
-                    self.add_vertex(at, if is_back { -normal } else { normal }, read)
+                let key = [at.to_array().map(f32::to_bits), read.elements, read.weights.map(f32::to_bits)];
+                *known.entry(key).or_insert_with(|| {
+                    let of_surface = placed.surface.normals[placed.surface.triangles[patch.face as usize][k] as usize];
+                    let normal = match placed.layout.is_shared() {
+                        true if is_back => -of_surface,
+                        true => of_surface,
+                        false => self.normals[(patch.elements[k] + first) as usize],
+                    };
+                    self.add_vertex(at, normal, read)
                 })
             });
             self.triangles.push(if is_back { [a, c, b] } else { [a, b, c] });
@@ -169,4 +177,47 @@ struct Mixed {
     colors: Vec<Vec3>,
     elements: Vec<Vec3>,
     weights: Vec<Vec3>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{Mesh, Object, Scene};
+    use crate::world::WorldOptions;
+
+    /// A wall of 10 cm between a lit room and a dark one, with a single row of the floor's elements in it, wherever it stands.
+    #[test]
+    fn cells_at_a_wall_have_the_light_of_their_own_side() {
+        let mut rows_inside = 0;
+        for step in 0..8 {
+            let wall = 1.5 + 0.0125 * step as f32;
+            let grey = |name: &str, mesh| Object::new(name, mesh, Material::diffuse(Vec3::splat(0.5)));
+            let room = Mesh::cuboid(Vec3::ZERO, Vec3::new(3.0, 1.0, 1.5)).inside_out();
+            let between = Mesh::cuboid(Vec3::new(wall, -0.1, -0.1), Vec3::new(wall + 0.1, 1.1, 1.6));
+            let objects = vec![grey("room", room), grey("wall", between)];
+            let options = WorldOptions { spacing: Some(0.1), ..WorldOptions::default() };
+            let world = World::new(Scene::from_objects(objects), &options).expect("a room");
+            let mut values: Vec<Vec3> =
+                world.positions().iter().map(|p| if p.x < wall + 0.05 { Vec3::ONE } else { Vec3::ZERO }).collect();
+            world.validity.fill(&mut values);
+            let (piece, mut mixed) = (Piece::new(&world, 0), Mixed::default());
+            let export = piece.export(&world, &values, &mut mixed);
+            // Where the wall meets an edge of the room, half of what an element sees is the room.
+            let is_at_edge = |vertex: &u32| {
+                let at = export.positions[*vertex as usize];
+                (at.y - 0.5).abs() > 0.49 && (at.z - 0.75).abs() > 0.74
+            };
+            for triangle in export.triangles.iter().filter(|triangle| !triangle.iter().any(is_at_edge)) {
+                let corners =
+                    triangle.map(|vertex| (export.positions[vertex as usize].x, export.colors[vertex as usize].x));
+                let is_in_wall = |x: f32| (wall - 1e-3..wall + 0.101).contains(&x);
+                rows_inside += corners.iter().filter(|(x, _)| is_in_wall(*x)).count();
+                let own = corners.iter().find(|(x, _)| !is_in_wall(*x));
+                let Some(&(x, light)) = own else { continue };
+                assert_eq!(light, if x < wall { 1.0 } else { 0.0 });
+                assert!(corners.iter().all(|(_, other)| *other == light), "{corners:?}, wall at {wall}");
+            }
+        }
+        assert!(rows_inside > 1000, "{rows_inside}");
+    }
 }

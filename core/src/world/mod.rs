@@ -28,6 +28,7 @@ mod restore;
 mod same;
 #[cfg(test)]
 mod sharing;
+mod shown;
 mod sight;
 mod sized;
 mod tint;

@@ -204,6 +204,12 @@ impl Validity {
         slot
     }
 
+    /// The slots whose mean an invalid slot takes; none where it is valid, or all around it are as it is.
+    pub(super) fn sources_of(&self, slot: u32) -> &[u32] {
+        let fill = self.object_at(slot).and_then(|object| object.fills.of(slot));
+        fill.map_or(&[], |fill| &fill.sources)
+    }
+
     /// Gives invalid slots the means of their neighbours' values.
     pub(crate) fn fill<T: Linear>(&self, values: &mut [T]) {
         for fill in self.objects.iter().flat_map(|object| &object.fills.list) {

@@ -37,8 +37,9 @@ pub struct ObjectExport<'a> {
 ///
 /// Scene 1, absent of an object without elements, holds the cells between its elements, in world space: vertex *i* is
 /// the element in slot `extras.first_element + i`, its light the float `COLOR_0`. With `extras.with_back` the second
-/// half of the elements belongs to the back. Where vertices of the file share elements, they follow, and every vertex
-/// says which it reads: `_ELEMENTS` (less `first_element`) and `_WEIGHTS`.
+/// half of the elements belongs to the back. Vertices of the file that share elements, and corners of cells that reach
+/// into walls, follow where there are any; then every vertex says which it reads: `_ELEMENTS` (less `first_element`) and
+/// `_WEIGHTS`.
 ///
 /// # Errors
 /// [`ExportError`]: lists that do not fit together, numbers that are not finite, more than 4 GiB.

@@ -174,8 +174,8 @@ impl Drawn<'_> {
             }
             let Some((_, face)) = &last else { continue };
             let corners = surface.corners(patch.face as usize);
-            let reads = self.placed.layout.reads_of(patch);
             for side in 0..sides {
+                let reads = world.shown_at(self.placed, patch, side == 1);
                 let corner = |k: usize| {
                     let light = reads[k].of(&values[side * elements..]);
                     let vertex = vertex(face, weights(patch, k, corners), place(patch.corners[k]), light);
