@@ -63,7 +63,8 @@ async fn both_errors_are_stated_while_light_is_computed() {
         server.post_glb(&format!("/v1/scenes?spacing=1&{query}"), glb::room().bytes()).await.json(201)
     };
     let scene = upload(&server, "samples_per_element=8192").await;
-    assert_eq!(scene["light_error"], json!({ "noise": null, "resolution": null }));
+    // Its noise may be told already.
+    assert!(scene["light_error"]["resolution"].is_null(), "{scene}");
     let bake = server.end_of(scene["current_job"].as_str().unwrap()).await;
     let lit = server.get(&path_of(&scene)).await.json(200);
     let stated = &lit["light_error"];
