@@ -27,6 +27,10 @@ const LEAST_SHARE: f32 = 0.4;
 const LEAST_OPEN: f32 = 0.8;
 const OPEN_RAYS: u32 = 128;
 
+/// Where so many of so many rays find nothing, an element that no lamp shines on is in the dark outside.
+const LEAST_OUTSIDE: usize = 8;
+const OUTSIDE_RAYS: usize = 32;
+
 /// Whether an element is inside a solid. Most of its rays meet the backs of closed objects that light does not enter,
 /// or all of them meet some back that no light comes from (objects that stand on a floor often have no bottom) and no
 /// lamp is in there. A courtyard between backs is open, and lit.
@@ -107,9 +111,6 @@ impl Sight {
     }
 }
 
-/// From this part of an element's hemisphere on that is the dark outside, an element that no lamp shines on is out there.
-const LEAST_OUTSIDE: f32 = 0.25;
-
 /// Whether an element is in the dark outside of everything, as what sticks out below a floor is: nobody looks at it, and it
 /// gets no light.
 fn is_outside(world: &World, slot: u32) -> bool {
@@ -123,8 +124,7 @@ fn is_outside(world: &World, slot: u32) -> bool {
         let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
         world.trees.closest_opaque(&ray).is_none()
     };
-    let escaped = (0..OPEN_RAYS).filter(|_| escapes()).count() as f32;
-    escaped >= LEAST_OUTSIDE * OPEN_RAYS as f32 && !is_lit(world, origin, n, &mut rng)
+    (0..OUTSIDE_RAYS).filter(|_| escapes()).count() >= LEAST_OUTSIDE && !is_lit(world, origin, n, &mut rng)
 }
 
 /// Part of an element's hemisphere, by the cosine, that light may come from: nothing is nearer than the spacing, nor is what
@@ -163,7 +163,8 @@ fn unseen_by(world: &World, placed: &Placed, slot: u32) -> Vec<u32> {
 }
 
 /// Elements of an object, outside of solids, that see next to nothing of their cells and get less light than what is there, or
-/// that are outside of everything where what is there is not; ascending. Where nothing has changed about their cells, they are those that were.
+/// that are outside of everything where what is there is not; ascending. Where nothing has changed about their cells, they are
+/// those that were.
 pub(super) fn behind_surfaces(world: &World, placed: &Placed, touched: Touched) -> Vec<u32> {
     let behind = world.validity.behind();
     let was_behind = |slot: u32| behind.binary_search(&slot).is_ok();
@@ -197,10 +198,14 @@ pub(super) fn behind_surfaces(world: &World, placed: &Placed, touched: Touched) 
     }
     let is_cut_off = |sight: Sight| sight.seen < LEAST_SHARE * sight.cells as f32;
     let is_behind = |&(slot, sight): &(u32, Sight)| {
+        let (is_cut_off, is_out) = (is_cut_off(sight), is_outside(world, slot));
+        if !is_cut_off && !is_out {
+            return false;
+        }
         let unseen: Vec<u32> =
             unseen_by(world, placed, slot).into_iter().filter(|&slot| is_in_no_solid(slot)).collect();
-        is_cut_off(sight) && is_in_shadow(world, slot, &unseen)
-            || !unseen.is_empty() && is_outside(world, slot) && unseen.iter().any(|&slot| !is_outside(world, slot))
+        is_cut_off && is_in_shadow(world, slot, &unseen)
+            || is_out && unseen.iter().any(|&slot| !is_outside(world, slot))
     };
     let partly_hidden: Vec<(u32, Sight)> =
         sights.into_iter().filter(|(_, sight)| sight.seen < sight.cells as f32).collect();
