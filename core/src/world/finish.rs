@@ -72,7 +72,7 @@ impl Draft {
         let lit = self.world.lit_from_behind(|lamp| lamp.object.is_none() && !was_there(lamp));
         for &index in &lit {
             let object = Arc::clone(&self.world.scene.objects[index]);
-            self.replace_object(index, object)?;
+            self.replace_object(index, object).map_err(|e| EditError { field: "edits".to_owned(), ..e })?;
         }
         if !lit.is_empty() {
             self.world.emitters = Arc::new(self.world.resolve_emitters());
