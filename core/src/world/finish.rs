@@ -1,7 +1,7 @@
 //! The end of a request: trees of what was inserted, what it hides and closes, and the way from the world before to
 //! that after.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -11,10 +11,11 @@ use super::apply::Draft;
 use super::build;
 use super::check::error;
 use super::openings::Openings;
-use super::{Emitter, Placed, Transition, Trees, Validity, World, probe};
+use super::{Placed, Transition, Trees, Validity, World, probe};
 use crate::atlas::Atlas;
 use crate::bvh::{BuildQuality, Bvh};
 use crate::edit::{EditError, EditErrorKind};
+use crate::scene::LightKind;
 
 impl Draft {
     /// The transition from the world before, which is `before`.
@@ -22,10 +23,10 @@ impl Draft {
         let scene = self.scene_mut();
         let names: BTreeSet<&str> = scene.lights.iter().map(|light| light.name.as_str()).collect();
         scene.groups.retain(|light, _| names.contains(light.as_str()));
-        // An object that is inserted and removed within the request leaves a trace in `touched` only, which is
-        // harmless.
         self.world.emitters = Arc::new(self.world.resolve_emitters());
         self.open_to_new_lamps(before)?;
+        // An object that is inserted and removed within the request leaves a trace in `touched` only, which is
+        // harmless.
         let changed = !self.removed.is_empty() || !self.inserted.is_empty();
         let common = self.world.trees.clone();
         if changed {
@@ -68,8 +69,14 @@ impl Draft {
 
     /// Objects on whose backs lamps shine that come or move take new slots, which have a back.
     fn open_to_new_lamps(&mut self, before: &World) -> Result<(), EditError> {
-        let was_there = |lamp: &Emitter| before.emitters.all().any(|old| old.name == lamp.name && old.same_shape(lamp));
-        let lit = self.world.lit_from_behind(|lamp| lamp.object.is_none() && !was_there(lamp));
+        let of_before: BTreeMap<&str, &LightKind> =
+            before.scene.lights.iter().map(|light| (light.name.as_str(), &light.kind)).collect();
+        let lights = self.world.scene.lights.iter();
+        let new: BTreeSet<&str> = lights
+            .filter(|light| of_before.get(light.name.as_str()).is_none_or(|kind| **kind != light.kind))
+            .map(|light| light.name.as_str())
+            .collect();
+        let lit = self.world.lit_from_behind(|lamp| lamp.object.is_none() && new.contains(lamp.name.as_str()));
         for &index in &lit {
             let object = Arc::clone(&self.world.scene.objects[index]);
             self.replace_object(index, object).map_err(|e| EditError { field: "edits".to_owned(), ..e })?;
