@@ -41,6 +41,12 @@ impl Pcg32 {
         x.rotate_right((old >> 59) as u32)
     }
 
+    /// Uniform among the first `count` integers.
+    #[inline]
+    pub(crate) fn next_below(&mut self, count: usize) -> usize {
+        ((u64::from(self.next_u32()) * count as u64) >> 32) as usize
+    }
+
     /// Uniform in [0, 1).
     #[inline]
     pub fn next_f32(&mut self) -> f32 {

@@ -15,7 +15,7 @@ use crate::random::{PartSeed, Pcg32, subseed};
 use crate::rounds::Round;
 use crate::solve::{Exchange, Paths, Rows, Solvable};
 use crate::space::Patch;
-use crate::transport::{Effort, Radiance, Rough, Source, Spots, Surfel, gather};
+use crate::transport::{Effort, Radiance, Rough, Source, Spots, Surfel, blacken, gather};
 use crate::world::World;
 
 /// Samples of the propagation per representative and round: at least, at most.
@@ -239,8 +239,7 @@ impl<V: Solvable> Updater<'_, V> {
     /// what it chooses between.
     fn rough_by_itself(&self, round: &Round) -> Result<Rough, Canceled> {
         let mut change: Vec<V> = self.buffers.take();
-        change.clear();
-        change.resize(self.world.slots(), V::default());
+        blacken(&mut change, self.world.slots());
         let every = Extent::new(&self.direct_slots, &self.subset, self.world.slots(), |_| true);
         let seed = subseed(round.seed, 0x940a);
         self.direct.estimate(&every, &self.subset, ROUGH_SAMPLES, seed, self.work, &mut change)?;

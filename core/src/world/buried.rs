@@ -27,9 +27,9 @@ const LEAST_SHARE: f32 = 0.4;
 const LEAST_OPEN: f32 = 0.8;
 const OPEN_RAYS: u32 = 128;
 
-/// Where so many of so many rays find nothing, an element that no lamp shines on is in the dark outside.
-const LEAST_OUTSIDE: usize = 8;
-const OUTSIDE_RAYS: usize = 32;
+/// Where this part of so many rays finds nothing, an element that no lamp shines on is in the dark outside.
+const LEAST_OUTSIDE: f32 = 0.25;
+const OUTSIDE_RAYS: u32 = 32;
 
 /// Whether an element is inside a solid. Most of its rays meet the backs of closed objects that light does not enter,
 /// or all of them meet some back that no light comes from (objects that stand on a floor often have no bottom) and no
@@ -111,48 +111,53 @@ impl Sight {
     }
 }
 
+/// Part of an element's hemisphere, by the cosine, in which `counts` says so of the direction and what is met first.
+fn part_of_hemisphere(world: &World, slot: u32, rays: u32, counts: impl Fn(Vec3, Option<Hit>) -> bool) -> f32 {
+    let (origin, n) = world.ray_origin(slot as usize);
+    let mut rng = Pcg32::new(0x0be7, u64::from(slot));
+    let mut counted = || {
+        let direction = cosine_hemisphere(n, rng.next_2d());
+        let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
+        counts(direction, world.trees.closest_opaque(&ray))
+    };
+    (0..rays).filter(|_| counted()).count() as f32 / rays as f32
+}
+
+/// Whether there may be light where nothing is. Without any lamp, nobody knows where it will come from.
+fn may_outside_be_lit(world: &World) -> bool {
+    world.emitters.has_sky() || world.emitters.list.is_empty()
+}
+
 /// Whether an element is in the dark outside of everything, as what sticks out below a floor is: nobody looks at it, and it
 /// gets no light.
 fn is_outside(world: &World, slot: u32) -> bool {
-    if world.emitters.has_sky() || world.emitters.list.is_empty() {
-        return false;
-    }
-    let (origin, n) = world.ray_origin(slot as usize);
-    let mut rng = Pcg32::new(0x0be8, u64::from(slot));
-    let mut escapes = || {
-        let direction = cosine_hemisphere(n, rng.next_2d());
-        let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
-        world.trees.closest_opaque(&ray).is_none()
-    };
-    (0..OUTSIDE_RAYS).filter(|_| escapes()).count() >= LEAST_OUTSIDE && !is_lit(world, origin, n, &mut rng)
+    !may_outside_be_lit(world)
+        && part_of_hemisphere(world, slot, OUTSIDE_RAYS, |_, hit| hit.is_none()) >= LEAST_OUTSIDE
+        && !is_lamplit(world, slot)
+}
+
+/// Whether some lamp shines on an element.
+fn is_lamplit(world: &World, slot: u32) -> bool {
+    let (point, n) = world.ray_origin(slot as usize);
+    is_lit(world, point, n, &mut Pcg32::new(0x11f, u64::from(slot)))
 }
 
 /// Part of an element's hemisphere, by the cosine, that light may come from: nothing is nearer than the spacing, nor is what
 /// is farther away the back of what has one side, or the dark outside.
 fn openness(world: &World, slot: u32) -> f32 {
-    let (origin, n) = world.ray_origin(slot as usize);
-    let mut rng = Pcg32::new(0x0be7, u64::from(slot));
-    // Without any lamp, nobody knows where light will come from.
-    let may_be_sky = world.emitters.has_sky() || world.emitters.list.is_empty();
-    let mut is_free = || {
-        let direction = cosine_hemisphere(n, rng.next_2d());
-        let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
+    let may_outside_be_lit = may_outside_be_lit(world);
+    part_of_hemisphere(world, slot, OPEN_RAYS, |direction, hit| {
         let is_front = |hit: &Hit| hit.normal.dot(direction) < 0.0 || world.space.part(hit.triangle).double_sided;
-        world.trees.closest_opaque(&ray).map_or(may_be_sky, |hit| hit.t > world.spacing() && is_front(&hit))
-    };
-    (0..OPEN_RAYS).filter(|_| is_free()).count() as f32 / OPEN_RAYS as f32
+        hit.map_or(may_outside_be_lit, |hit| hit.t > world.spacing() && is_front(&hit))
+    })
 }
 
 /// Whether an element gets less light than its neighbours that it does not see: it is less open, or lamps shine on them alone.
 /// Theirs stands for its own then. Between slats, or on a ledge whose other corners are in a wall, its own is the better.
 fn is_in_shadow(world: &World, slot: u32, unseen: &[u32]) -> bool {
     let sum: f32 = unseen.iter().map(|&other| openness(world, other)).sum();
-    let is_lit = |slot: u32| {
-        let (point, n) = world.ray_origin(slot as usize);
-        is_lit(world, point, n, &mut Pcg32::new(0x11f, u64::from(slot)))
-    };
     openness(world, slot) * (unseen.len() as f32) < LEAST_OPEN * sum
-        || !is_lit(slot) && unseen.iter().copied().any(is_lit)
+        || !is_lamplit(world, slot) && unseen.iter().any(|&other| is_lamplit(world, other))
 }
 
 /// Neighbours that an element does not see.

@@ -1,6 +1,8 @@
 //! Whether lamps shine on backs. Rays from elements find only what is seen from where elements are: nothing has elements
 //! inside of an empty room whose normals face out, and nothing sees a roof from above.
 
+use std::ops::Range;
+
 use glam::Vec3;
 
 use super::{Emitter, Placed, World};
@@ -74,24 +76,24 @@ impl<'a> Lamps<'a> {
     }
 
     /// Of pairs of an element and a lamp, the part in which the one shines on the other: on its front or its `back`.
-    fn share(&self, slots: std::ops::Range<u32>, lamps: &[&Emitter], back: bool, seed: u32) -> f64 {
+    fn share(&self, slots: Range<u32>, lamps: &[&Emitter], back: bool, seed: u32) -> f64 {
         if lamps.is_empty() || slots.is_empty() {
             return 0.0;
         }
         let mut rng = Pcg32::new(0x1a3b, u64::from(seed));
         let is_lit = |_: &u32| {
-            let slot = slots.start + pick(&mut rng, slots.len());
-            let lamp = lamps[pick(&mut rng, lamps.len()) as usize];
+            let slot = slots.start + rng.next_below(slots.len()) as u32;
+            let lamp = lamps[rng.next_below(lamps.len())];
             shines(self.world, lamp, self.world.side_of(slot as usize, back), rng.next_2d())
         };
         (0..TESTS).filter(is_lit).count() as f64 / f64::from(TESTS)
     }
 
     /// Whether any surface is seen from some elements.
-    fn sees_anything(&self, slots: std::ops::Range<u32>) -> bool {
+    fn sees_anything(&self, slots: Range<u32>) -> bool {
         let mut rng = Pcg32::new(0x1a3c, u64::from(slots.start));
         (0..TESTS).any(|_| {
-            let slot = slots.start + pick(&mut rng, slots.len());
+            let slot = slots.start + rng.next_below(slots.len()) as u32;
             let (origin, n) = self.world.ray_origin(slot as usize);
             let direction = cosine_hemisphere(n, rng.next_2d());
             self.world.trees.closest_hit(&Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY }).is_some()
@@ -105,10 +107,6 @@ impl World {
         let (point, n) = self.ray_origin(slot);
         if back { (self.positions()[slot] * 2.0 - point, -n) } else { (point, n) }
     }
-}
-
-fn pick(rng: &mut Pcg32, count: usize) -> u32 {
-    ((u64::from(rng.next_u32()) * count as u64) >> 32) as u32
 }
 
 /// Whether one sample of a lamp arrives at a point with a normal.

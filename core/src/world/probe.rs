@@ -156,11 +156,10 @@ pub(super) fn back_seen(world: &World, index: usize) -> bool {
         return false;
     }
     let mut rng = Pcg32::new(0x5ee, u64::from(placed.key));
-    let mut pick = |n: usize| ((u64::from(rng.next_u32()) * n as u64) >> 32) as usize;
     let (mut seen, mut backs) = (0, 0);
     for _ in 0..PAIRS {
-        let slot = pick(world.slots());
-        let target = placed.placement.elements.start as usize + pick(placed.layout.len());
+        let slot = rng.next_below(world.slots());
+        let target = placed.placement.elements.start as usize + rng.next_below(placed.layout.len());
         let target = world.positions()[target];
         if world.areas()[slot] <= 0.0 {
             continue;
