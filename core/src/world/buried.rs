@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::sight::{Touched, is_touched, of_touched_cells};
 use super::{Placed, World, visible_light};
-use crate::bvh::{Hit, Ray};
+use crate::bvh::Ray;
 use crate::random::Pcg32;
 use crate::sampling::cosine_hemisphere;
 use crate::space::Patch;
@@ -111,28 +111,23 @@ impl Sight {
     }
 }
 
-/// Part of an element's hemisphere, by the cosine, in which `counts` says so of the direction and what is met first.
-fn part_of_hemisphere(world: &World, slot: u32, rays: u32, counts: impl Fn(Vec3, Option<Hit>) -> bool) -> f32 {
+/// Part of an element's hemisphere, by the cosine, in which nothing is nearer than a distance, by so many rays.
+fn free_part_of_hemisphere(world: &World, slot: u32, distance: f32, rays: u32) -> f32 {
     let (origin, n) = world.ray_origin(slot as usize);
     let mut rng = Pcg32::new(0x0be7, u64::from(slot));
-    let mut counted = || {
+    let mut is_free = || {
         let direction = cosine_hemisphere(n, rng.next_2d());
-        let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
-        counts(direction, world.trees.closest_opaque(&ray))
+        world.trees.closest_opaque(&Ray { origin, direction, t_min: 0.0, t_max: distance }).is_none()
     };
-    (0..rays).filter(|_| counted()).count() as f32 / rays as f32
-}
-
-/// Whether there may be light where nothing is. Without any lamp, nobody knows where it will come from.
-fn may_outside_be_lit(world: &World) -> bool {
-    world.emitters.has_sky() || world.emitters.list.is_empty()
+    (0..rays).filter(|_| is_free()).count() as f32 / rays as f32
 }
 
 /// Whether an element is in the dark outside of everything, as what sticks out below a floor is: nobody looks at it, and it
-/// gets no light.
+/// gets no light. Without any lamp, nobody knows where light will come from.
 fn is_outside(world: &World, slot: u32) -> bool {
-    !may_outside_be_lit(world)
-        && part_of_hemisphere(world, slot, OUTSIDE_RAYS, |_, hit| hit.is_none()) >= LEAST_OUTSIDE
+    !world.emitters.has_sky()
+        && !world.emitters.list.is_empty()
+        && free_part_of_hemisphere(world, slot, f32::INFINITY, OUTSIDE_RAYS) >= LEAST_OUTSIDE
         && !is_lamplit(world, slot)
 }
 
@@ -142,14 +137,9 @@ fn is_lamplit(world: &World, slot: u32) -> bool {
     is_lit(world, point, n, &mut Pcg32::new(0x11f, u64::from(slot)))
 }
 
-/// Part of an element's hemisphere, by the cosine, that light may come from: nothing is nearer than the spacing, nor is what
-/// is farther away the back of what has one side, or the dark outside.
+/// Part of an element's hemisphere in which nothing is nearer than the spacing.
 fn openness(world: &World, slot: u32) -> f32 {
-    let may_outside_be_lit = may_outside_be_lit(world);
-    part_of_hemisphere(world, slot, OPEN_RAYS, |direction, hit| {
-        let is_front = |hit: &Hit| hit.normal.dot(direction) < 0.0 || world.space.part(hit.triangle).double_sided;
-        hit.map_or(may_outside_be_lit, |hit| hit.t > world.spacing() && is_front(&hit))
-    })
+    free_part_of_hemisphere(world, slot, world.spacing(), OPEN_RAYS)
 }
 
 /// Whether an element gets less light than its neighbours that it does not see: it is less open, or lamps shine on them alone.
