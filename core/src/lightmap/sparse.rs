@@ -1,4 +1,5 @@
-//! Light of a layer: a lamp lights few places, and where it does not, nothing is kept.
+//! Light of a layer: a lamp lights few places, and where it does not, nothing is kept. Fewer still are lit straight, where
+//! it lights a room next door by what comes through the door.
 
 use std::borrow::Cow;
 
@@ -13,14 +14,20 @@ pub const BLOCK_SLOTS: usize = 64;
 /// A block that is not there.
 const ABSENT: u32 = u32::MAX;
 
+/// Direct light of a block that has none.
+static DARK: [Vec3; BLOCK_SLOTS] = [Vec3::ZERO; BLOCK_SLOTS];
+
 /// Light per element slot, in blocks of [`BLOCK_SLOTS`] slots: those without any light are not there. The variance is
-/// there wherever light is.
+/// there wherever light is; direct light alone may be missing.
 #[derive(Clone, Debug, Default)]
 pub struct SparseLight {
     slots: usize,
     /// Per block: how many of those before it are there, or [`ABSENT`].
     places: Vec<u32>,
-    /// Values of the blocks that are there, one after the other.
+    /// Per block that is there: how many of those before it have direct light, or [`ABSENT`] where it has none. Empty where
+    /// all have some.
+    lit_places: Vec<u32>,
+    /// Values of the blocks that are there, one after the other: direct light of those that have some.
     values: LightValues,
 }
 
@@ -38,11 +45,13 @@ pub struct LightBlock<'a> {
 impl LightBlock<'_> {
     /// Whether every bit of it is zero.
     fn is_empty(&self) -> bool {
-        let is_zero = |light: &Vec3| light.to_array().iter().all(|x| x.to_bits() == 0);
-        self.direct.iter().all(is_zero)
-            && self.indirect.iter().all(is_zero)
-            && self.variance.iter().all(|v| v.to_bits() == 0)
+        is_dark(self.direct) && is_dark(self.indirect) && self.variance.iter().all(|v| v.to_bits() == 0)
     }
+}
+
+/// Whether every bit of some light is zero.
+fn is_dark(light: &[Vec3]) -> bool {
+    light.iter().all(|light| light.to_array().iter().all(|x| x.to_bits() == 0))
 }
 
 /// How many blocks so many slots are in.
@@ -76,6 +85,13 @@ impl<'a> AnyLight<'a> {
 }
 
 impl LightValues {
+    /// The slots of a block.
+    #[inline]
+    pub(crate) fn block(&self, block: usize) -> LightBlock<'_> {
+        let first = block * BLOCK_SLOTS;
+        self.range(first, BLOCK_SLOTS.min(self.len() - first))
+    }
+
     /// Some consecutive slots.
     #[inline]
     pub(crate) fn range(&self, first: usize, slots: usize) -> LightBlock<'_> {
@@ -87,22 +103,16 @@ impl LightValues {
         }
     }
 
-    /// The slots of a block.
-    #[inline]
-    pub(crate) fn block(&self, block: usize) -> LightBlock<'_> {
-        let first = block * BLOCK_SLOTS;
-        self.range(first, BLOCK_SLOTS.min(self.len() - first))
-    }
-
     /// The light of a block, alone.
     pub(crate) fn of_block(block: &LightBlock) -> LightValues {
         let mut values = LightValues::default();
-        values.push(block);
+        values.direct.extend_from_slice(block.direct);
+        values.push_bounces(block);
         values
     }
 
-    fn push(&mut self, block: &LightBlock) {
-        self.direct.extend_from_slice(block.direct);
+    /// Indirect light, and the variance.
+    fn push_bounces(&mut self, block: &LightBlock) {
         self.indirect.extend_from_slice(block.indirect);
         self.variance.extend_from_slice(block.variance);
     }
@@ -111,7 +121,7 @@ impl LightValues {
 impl SparseLight {
     /// No light in `slots` slots.
     pub fn black(slots: usize) -> SparseLight {
-        SparseLight { slots, places: vec![ABSENT; blocks_of(slots)], values: LightValues::default() }
+        SparseLight { slots, places: vec![ABSENT; blocks_of(slots)], ..SparseLight::default() }
     }
 
     /// The values of some blocks, ascending, each with its index. All but the last block of all have [`BLOCK_SLOTS`]
@@ -121,16 +131,36 @@ impl SparseLight {
     /// Where they do not ascend, or do not have the length that they should.
     pub fn of_blocks<'a>(slots: usize, blocks: impl IntoIterator<Item = (usize, LightBlock<'a>)>) -> SparseLight {
         let mut light = SparseLight::black(slots);
-        let mut next = 0;
+        let (mut next, mut lit) = (0, 0);
         for (count, (index, block)) in (0..).zip(blocks) {
             let len = BLOCK_SLOTS.min(slots - index * BLOCK_SLOTS);
             assert!(block.direct.len() == len && block.indirect.len() == len, "a value per slot");
             assert!(index >= next, "blocks in their order");
             light.places[index] = count;
-            light.values.push(&block);
+            light.values.push_bounces(&block);
+            if is_dark(block.direct) {
+                light.lit_places.push(ABSENT);
+            } else {
+                light.values.direct.extend_from_slice(block.direct);
+                light.lit_places.push(lit);
+                lit += 1;
+            }
             next = index + 1;
         }
+        if light.lit_places.len() == lit as usize {
+            light.lit_places.clear();
+        }
+        light.shrink();
         light
+    }
+
+    /// Gives back what it took to grow.
+    fn shrink(&mut self) {
+        let SparseLight { lit_places, values: LightValues { direct, indirect, variance }, .. } = self;
+        lit_places.shrink_to_fit();
+        direct.shrink_to_fit();
+        indirect.shrink_to_fit();
+        variance.shrink_to_fit();
     }
 
     /// Slots, empty ones included.
@@ -150,9 +180,17 @@ impl SparseLight {
     #[inline]
     pub fn block(&self, block: usize) -> Option<LightBlock<'_>> {
         let place = self.places[block];
-        (place != ABSENT).then(|| {
-            let slots = BLOCK_SLOTS.min(self.slots - block * BLOCK_SLOTS);
-            self.values.range(place as usize * BLOCK_SLOTS, slots)
+        if place == ABSENT {
+            return None;
+        }
+        let len = BLOCK_SLOTS.min(self.slots - block * BLOCK_SLOTS);
+        let range = |place: u32| place as usize * BLOCK_SLOTS..place as usize * BLOCK_SLOTS + len;
+        let lit = self.lit_places.get(place as usize).copied().unwrap_or(place);
+        let LightValues { direct, indirect, variance } = &self.values;
+        Some(LightBlock {
+            direct: if lit == ABSENT { &DARK[..len] } else { &direct[range(lit)] },
+            indirect: &indirect[range(place)],
+            variance: variance.get(range(place)).unwrap_or_default(),
         })
     }
 
@@ -238,14 +276,15 @@ impl SparseLight {
     pub fn memory_bytes(&self) -> usize {
         let LightValues { direct, indirect, variance } = &self.values;
         size_of_val(self.places.as_slice())
+            + size_of_val(self.lit_places.as_slice())
             + size_of_val(direct.as_slice())
             + size_of_val(indirect.as_slice())
             + size_of_val(variance.as_slice())
     }
 
-    /// Whether every block is there: values lie as slots do.
+    /// Whether every block is there, and has direct light: values lie as slots do.
     fn is_whole(&self) -> bool {
-        self.values.len() == self.slots
+        self.values.direct.len() == self.slots
     }
 }
 
@@ -255,7 +294,8 @@ impl From<LightValues> for SparseLight {
         let is_there = |block: usize| !values.block(block).is_empty();
         let there: Vec<bool> = (0..blocks_of(slots)).into_par_iter().with_min_len(64).map(is_there).collect();
         if there.iter().all(|is| *is) {
-            return SparseLight { slots, places: (0..there.len() as u32).collect(), values };
+            // As they are: a copy would take longer than it is worth.
+            return SparseLight { slots, places: (0..there.len() as u32).collect(), lit_places: Vec::new(), values };
         }
         let blocks = there.iter().enumerate().filter(|(_, is)| **is).map(|(block, _)| (block, values.block(block)));
         SparseLight::of_blocks(slots, blocks)
@@ -286,7 +326,9 @@ mod tests {
             let mut light = LightValues::default();
             for (len, is_lit, value) in runs {
                 let value = if is_lit { value } else { 0.0 };
-                light.direct.extend((0..len).map(|k| Vec3::new(value, 0.0, value * k as f32)));
+                let is_straight = value > -1.0;
+                let straight = |k| Vec3::new(value, 0.0, value * k as f32);
+                light.direct.extend((0..len).map(|k| if is_straight { straight(k) } else { Vec3::ZERO }));
                 light.indirect.extend((0..len).map(|_| Vec3::splat(-value)));
                 light.variance.extend((0..len).map(|_| value * value));
             }
@@ -317,8 +359,13 @@ mod tests {
                 expected.resize(slots);
                 prop_assert_eq!(sparse.resized(slots).to_dense(), expected);
             }
-            let dark = (0..blocks_of(values.len())).filter(|&block| values.block(block).is_empty()).count();
-            prop_assert_eq!(sparse.blocks().count(), blocks_of(values.len()) - dark);
+            let there: Vec<LightBlock> =
+                (0..blocks_of(values.len())).map(|block| values.block(block)).filter(|block| !block.is_empty()).collect();
+            prop_assert_eq!(sparse.blocks().count(), there.len());
+            // What is not there takes no room.
+            let lit = there.iter().filter(|block| !is_dark(block.direct)).map(|block| block.direct.len()).sum::<usize>();
+            prop_assert_eq!(again.values.direct.len(), lit);
+            prop_assert_eq!(again.values.indirect.len(), there.iter().map(|block| block.indirect.len()).sum::<usize>());
         }
     }
 }
