@@ -16,7 +16,7 @@ use crate::rounds::{Estimator, Goal, Need, Phase, Round};
 use crate::solve::{Exchange, Paths, Rows, Solvable, Subset};
 use crate::transport::direct::direct_at;
 use crate::transport::{Effort, Field, Hint, Work, blacken, for_slots, gathered};
-use crate::value::{SIDE_BY_SIDE, with_layers};
+use crate::value::with_layers;
 use crate::world::World;
 
 /// Samples per representative and round: at least, at most.
@@ -95,7 +95,7 @@ fn bake_stack<V: Solvable>(
     let baker = Baker::new(world, weights, goal.seed);
     let show = |direct: Vec<V>, round: &Round| baker.show_estimate(direct, round, finish, work);
     let shows = goal.estimates && work.observer().wants_estimates();
-    let layers = goal.offers.then_some(layers).filter(|layers| layers.len() <= SIDE_BY_SIDE);
+    let layers = goal.offers.then_some(layers);
     let all = BakeRounds { show: shows.then_some(&show), layers, ..baker.rounds(work) };
     let is_seen = goal.focus().map(|focus| focus.covers(world)).unwrap_or_default();
     let seen: Vec<u32> =

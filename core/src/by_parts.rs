@@ -9,12 +9,12 @@ use crate::bake::{self, Baker};
 use crate::estimate::Estimate;
 use crate::job::{Canceled, Observer};
 use crate::layers::{weights_of, weights_within};
-use crate::lightmap::{LayerHeader, LightValues};
+use crate::lightmap::{LayerHeader, LightValues, MAX_LAYERS};
 use crate::random::subseed;
 use crate::rounds::{Estimator, Round};
 use crate::solve::Solvable;
 use crate::transport::{Effort, Work};
-use crate::value::{SIDE_BY_SIDE, side_by_side};
+use crate::value::with_layers;
 use crate::world::World;
 
 /// What all rounds of a bake share: the same for the same world, layers and seed, wherever it is made.
@@ -37,8 +37,8 @@ pub enum PartError {
         /// Of the world.
         slots: usize,
     },
-    /// No part carries so many layers.
-    #[error("{0} layers are more than parts of rounds carry")]
+    /// No light map has so many layers.
+    #[error("{0} layers are more than a light map has")]
     Layers(usize),
 }
 
@@ -54,7 +54,7 @@ impl PartBaker {
         seed: u64,
         observer: &dyn Observer,
     ) -> Result<PartBaker, PartError> {
-        if layers.len() > SIDE_BY_SIDE {
+        if layers.len() > MAX_LAYERS {
             return Err(PartError::Layers(layers.len()));
         }
         let weights = if layers.is_empty() { vec![Vec3::ONE] } else { weights_of(layers, &world.scene) };
@@ -62,7 +62,7 @@ impl PartBaker {
             true => Baker::new(world, &weights, seed),
             false => Baker::new(&world.only_layers(layers, &weights), weights_within(&weights), seed),
         };
-        let prior = side_by_side!(layers.len(), first_prior(&baker, &Work::new(observer)))?;
+        let prior = with_layers!(layers.len(), first_prior(&baker, &Work::new(observer)))?;
         Ok(PartBaker { baker, seed, layers: weights.len(), prior })
     }
 
@@ -75,7 +75,7 @@ impl PartBaker {
         let slots = self.baker.slots();
         let effort = Effort::of_factors(effort, slots).ok_or(PartError::Effort { slots })?;
         let prior = self.prior.with_effort(effort);
-        Ok(side_by_side!(self.layers, one_part(self, spec, &prior, &Work::new(observer)))?)
+        Ok(with_layers!(self.layers, one_part(self, spec, &prior, &Work::new(observer)))?)
     }
 }
 
@@ -120,7 +120,7 @@ mod tests {
 
     use super::*;
     use crate::job::{Budget, NextPart, Offer, Unobserved};
-    use crate::scene::{Material, Mesh, Object, Scene};
+    use crate::scene::{Light, LightKind, Material, Mesh, Object, Scene};
     use crate::world::WorldOptions;
 
     /// A closed room with a lamp and a ball of light, which have layers of their own where they are grouped.
@@ -140,6 +140,19 @@ mod tests {
             name.cloned().expect("a light on every lamp")
         };
         scene.groups = groups.iter().map(|(object, group)| (light(object), (*group).to_owned())).collect();
+        World::new(scene, &WorldOptions { spacing: Some(0.2), ..WorldOptions::default() }).expect("a room")
+    }
+
+    /// The room with more lamps, each of which has a layer of its own.
+    fn room_of_lamps(count: usize) -> World {
+        let room = room(&[]);
+        let mut scene = (*room.scene).clone();
+        for k in 0..count {
+            let position = glam::DVec3::new(0.2 + 0.08 * k as f64, 1.4, 0.3 + 0.3 * (k % 5) as f64);
+            let kind = LightKind::Point { position, range: None };
+            scene.lights.push(Light { name: format!("lamp {k}"), kind, color: Vec3::ONE, intensity: 0.1 });
+            scene.groups.insert(format!("lamp {k}"), format!("group {k}"));
+        }
         World::new(scene, &WorldOptions { spacing: Some(0.2), ..WorldOptions::default() }).expect("a room")
     }
 
@@ -220,8 +233,9 @@ mod tests {
 
     #[test]
     fn a_bake_has_the_same_bits_wherever_its_parts_are_done() {
-        for groups in [&[][..], &[("screen", "a")], &[("lamp", "a"), ("screen", "a")]] {
-            let world = room(groups);
+        let worlds = [&[][..], &[("screen", "a")], &[("lamp", "a"), ("screen", "a")]].map(room);
+        for world in worlds.into_iter().chain([room_of_lamps(20)]) {
+            let layers = crate::layers::groups_of(&world.scene).len();
             let bake = |place| {
                 let others = Others { world: &world, place, state: Mutex::default() };
                 let budget = Budget { samples_per_element: 100, target_rmse: None };
@@ -233,14 +247,14 @@ mod tests {
             assert_eq!((state.round, &*state.parts), (5, &[12, 12, 12][..]));
             for place in [Where::Both, Where::Elsewhere, Where::Nonsense] {
                 let (there, state) = bake(place);
-                assert!(state.asked > 1 && there == here, "{groups:?} {place:?}");
+                assert!(state.asked > 1 && there == here, "{layers} {place:?}");
             }
             let refine = |place| {
                 let others = Others { world: &world, place, state: Mutex::default() };
                 let budget = Budget { samples_per_element: 64, target_rmse: None };
                 crate::refine(&world, &here, &budget, 6, &others).expect("nobody cancels")
             };
-            assert!(refine(Where::Here) == refine(Where::Both), "{groups:?}");
+            assert!(refine(Where::Here) == refine(Where::Both), "{layers}");
         }
     }
 
@@ -248,9 +262,9 @@ mod tests {
     fn what_no_part_can_go_by_is_refused() {
         let world = room(&[]);
         let slots = world.slots();
-        let many = vec![LayerHeader::default(); SIDE_BY_SIDE + 1];
+        let many = vec![LayerHeader::default(); MAX_LAYERS + 1];
         let refused = PartBaker::new(&world, &many, 1, &Unobserved).err();
-        assert_eq!(refused, Some(PartError::Layers(SIDE_BY_SIDE + 1)));
+        assert_eq!(refused, Some(PartError::Layers(MAX_LAYERS + 1)));
         let baker = PartBaker::new(&world, &[], 1, &Unobserved).expect("nobody cancels");
         let spec = PartSpec { round: 0, part: 0, samples: 4 };
         for effort in [vec![1; slots - 1], vec![0; slots], vec![17; slots]] {

@@ -101,8 +101,13 @@ fn run(program: &Path, folder: &Path, port: &str) -> Child {
 
 /// Uploads a scene, moves and repaints things, and answers its light: that after the bake and that after the edits.
 async fn light_of(server: &Server, scene: &Glb) -> [Vec<u8>; 2] {
-    let query = "/v1/scenes?spacing=0.3&samples_per_element=96";
-    let scene = server.post_glb(query, scene.bytes()).await.json(201);
+    light_with(server, scene, "layers=shared").await
+}
+
+/// The same, with layers as `layers` says.
+async fn light_with(server: &Server, scene: &Glb, layers: &str) -> [Vec<u8>; 2] {
+    let query = format!("/v1/scenes?spacing=0.3&samples_per_element=96&{layers}");
+    let scene = server.post_glb(&query, scene.bytes()).await.json(201);
     server.end_of(scene["current_job"].as_str().unwrap()).await;
     let path = path_of(&scene);
     let baked = raw(server, &path).await;
@@ -186,6 +191,24 @@ async fn one_worker_two_or_none_give_the_bits_of_one_process() {
     }
 }
 
+/// More layers than lie side by side: a part of a round has those that matter at each element.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn bakes_of_many_layers_are_shared_out_too() {
+    let Some(broker) = Broker::start() else { return };
+    let mut scene = room();
+    for k in 0..18 {
+        let (x, z) = (0.4 + 0.8 * (k % 5) as f32, 0.4 + 0.8 * (k / 5) as f32);
+        scene.point_light(&format!("bulb {k}"), [x, 0.3, z], 2.0);
+    }
+    let alone = light_with(&Server::start().await, &scene, "layers=each").await;
+    let worker = broker.worker();
+    let server = broker.serve(true).await;
+    know_workers(&server, 1).await;
+    assert!(light_with(&server, &scene, "layers=each").await == alone);
+    assert!(parts(&server, "elsewhere").await > 0 && parts(&server, "refused").await == 0);
+    worker.kill();
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn workers_and_the_broker_may_die_at_any_moment() {
     let Some(mut broker) = Broker::start() else { return };
@@ -265,7 +288,7 @@ async fn lie(broker: &Broker, nonsense: impl Fn(&Value) -> (Vec<u8>, String)) {
 /// An estimate of a part whose every number has these bits.
 fn estimate_of(task: &Value, slots: usize, bits: u32) -> Vec<u8> {
     let number = |name: &str| task[name].as_u64().unwrap() as u32;
-    let mut bytes = b"RBKEST02".to_vec();
+    let mut bytes = b"RBKEST03".to_vec();
     for number in [number("round"), number("part"), number("samples"), 1] {
         bytes.extend(number.to_le_bytes());
     }

@@ -159,6 +159,17 @@ impl Value for Few<Vec3> {
         value
     }
 
+    fn of_told(layers: &[u16], lights: &[Vec3]) -> Option<Self> {
+        let ((&0, layers), (&rest, lights)) = (layers.split_first()?, lights.split_first()?) else { return None };
+        let is_told = layers.len() <= FEW && layers.len() == lights.len() && layers.is_sorted_by(|a, b| a < b);
+        let mut value = Few { len: layers.len(), rest, ..Few::default() };
+        is_told.then(|| {
+            value.layers[..layers.len()].copy_from_slice(layers);
+            value.values[..layers.len()].copy_from_slice(lights);
+            value
+        })
+    }
+
     #[inline]
     fn add_to_layer(&mut self, layer: u32, light: Vec3) {
         match layer {

@@ -62,6 +62,12 @@ pub(crate) trait Value: Linear + SubAssign + Mul<Vec3, Output = Self> + Sum {
     /// Light of some layers, of none in those that are left.
     fn of_layers(layers: &[Vec3]) -> Self;
 
+    /// What [`Value::for_layers`] tells of light, bit for bit: layers, ascending from the first, and their light. None
+    /// where that is no such light.
+    fn of_told(_layers: &[u16], _lights: &[Vec3]) -> Option<Self> {
+        None
+    }
+
     /// Adds to the light of one layer.
     fn add_to_layer(&mut self, layer: u32, light: Vec3);
 

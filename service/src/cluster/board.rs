@@ -157,7 +157,7 @@ mod tests {
     /// Of no world: the board looks at none.
     fn estimate(part: u32) -> Estimate {
         let numbers = [0, part, 16, 1].map(u32::to_le_bytes).concat();
-        let bytes = [b"RBKEST02".as_slice(), &numbers, &0_u64.to_le_bytes()].concat();
+        let bytes = [b"RBKEST03".as_slice(), &numbers, &0_u64.to_le_bytes()].concat();
         Estimate::from_bytes(&bytes, 0).unwrap()
     }
 
