@@ -25,6 +25,7 @@ use crate::store::StoreError;
 use crate::store::accepted::Head;
 use crate::store::assets::{Assets, Content};
 use crate::store::disk::{Disk, Saved, SavedEdit, SavedScene};
+use crate::store::earlier::Earlier;
 use crate::store::history::History;
 use crate::store::keys::IdempotencyKeys;
 use crate::store::lighting::{Lighting, unknown_of_saved};
@@ -141,9 +142,15 @@ fn rebuild(app: &App, disk: &Disk, saved: &SavedScene) -> Result<(SceneEntry, bo
     saved.keys.iter().cloned().for_each(|key| keys.insert(key));
     let head = Head { world: world.clone(), sequence, jobs: saved.jobs, keys, history };
 
+    let mut earlier = Earlier::default();
     let (published, lighting, error) = match light {
         Ok(Some((shown, light))) => {
             let unknown = unknown_of_saved(&light, &replayed.unlit);
+            if let Some((_, present)) = &light.lit {
+                let (worlds, since_base) = (&replayed.earlier, replayed.since_base);
+                let present = (present, light.about.is_coarse);
+                earlier = Earlier::restored(light.earlier.clone(), worlds, since_base, present);
+            }
             let published = Published::restored(shown, record.mode, light.clone(), unknown, saved.reserved);
             (published, Lighting::restored(&light, replayed.unlit), None)
         }
@@ -159,7 +166,9 @@ fn rebuild(app: &App, disk: &Disk, saved: &SavedScene) -> Result<(SceneEntry, bo
     app.store.versions_reserved(saved.number, reserved)?;
     let is_unbaked = error.is_some() || other_layout.is_some();
     let new = describe(app, saved, record, reserved, error);
-    Ok((SceneEntry::with(new, head, lighting, published, &app.config.limits), is_unbaked))
+    let mut entry = SceneEntry::with(new, head, lighting, published, &app.config.limits);
+    entry.earlier = earlier;
+    Ok((entry, is_unbaked))
 }
 
 /// What to tell of light whose elements are laid out as another version of this program does it: it is none of these

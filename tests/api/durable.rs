@@ -264,6 +264,44 @@ async fn light_goes_on_alike_after_a_crash() {
     restarted.stop().await;
 }
 
+/// What edits are lit from is kept with the light: undo has the light from before, and moves go on from where they began.
+#[tokio::test]
+async fn undo_and_moves_have_the_same_light_after_a_crash() {
+    let [directory, crashed] = [fast_directory(), fast_directory()];
+    let server = start(directory.path()).await;
+    let asset = server.crate_asset().await;
+    let scene = server.baked_room("?samples_per_element=4").await;
+    let edit = async |server: &Server, mut edit: Value| {
+        edit["budget"] = json!({ "samples_per_element": 4 });
+        let job = server.end_of(&server.edit(&scene, &edit).await).await;
+        assert_eq!(job["state"], "succeeded", "{job}");
+        (light(server, &scene).await, job["progress"]["rays"].as_u64().unwrap())
+    };
+    let step = |x: f64| json!({ "op": "move", "object": "a", "transform": translation(x, 0.01, 2.0) });
+    let mut before = Vec::new();
+    for step in [insert(&asset, "a"), step(2.1), step(2.2), paint(0.4)] {
+        before.push(edit(&server, step).await.0);
+    }
+    copy(directory.path(), crashed.path());
+    // A move goes on from where the moves began; behind it the light of the last states is that from before.
+    let further = async |server: &Server| {
+        let (moved, rays) = edit(server, step(2.3)).await;
+        assert!(rays > 0 && moved != before[3]);
+        let mut lights = vec![moved];
+        for before in [&before[3], &before[2]] {
+            let (light, rays) = edit(server, json!({ "op": "undo" })).await;
+            assert!(light == *before && rays == 0, "{rays}");
+            lights.push(light);
+        }
+        lights
+    };
+    let went_on = further(&server).await;
+    server.stop().await;
+    let restarted = start(crashed.path()).await;
+    assert!(further(&restarted).await == went_on);
+    restarted.stop().await;
+}
+
 #[tokio::test]
 async fn a_paused_job_waits_and_goes_on_also_after_a_restart() {
     let directory = tempfile::tempdir().unwrap();

@@ -7,9 +7,8 @@ Needs nats-server, and httpx and numpy (the Python client's). Scenes are the dem
 which waits for the light of one step before it asks for the next, and now and then bakes another scene beside it, for workers to
 do parts of. Meanwhile something is killed every few seconds and started again, the broker once for a minute. Then the same steps
 are taken by a service alone that nobody kills. Ends with 1 where an acknowledged edit is not there, a job failed, or the light map
-of an edited scene differs in one bit. With the service among what is killed some will: it has no earlier light maps in memory
-then, from which it lights what is moved or repainted again. Scenes that are baked beside others take turns, and which bits they
-have goes by when: they have to succeed.
+of an edited scene differs in one bit. Scenes that are baked beside others take turns, and which bits they have goes by when: they
+have to succeed.
 """
 import argparse
 import random

@@ -27,7 +27,7 @@ use crate::store::disk::codec;
 use crate::store::history::History;
 use crate::store::keys::IdempotencyKeys;
 use crate::store::lighting::Lighting;
-use crate::store::records::LightRecord;
+use crate::store::records::{EarlierLight, LightRecord};
 use crate::store::scene::{NewScene, SceneEntry, SceneState};
 use crate::store::versions::Published;
 
@@ -240,7 +240,13 @@ fn publish(
         return Err(ClusterError::OtherLayout);
     }
     let unknown = files.unknown.map(|bytes| bytes.iter().map(|byte| *byte != 0).collect());
-    let light = LightRecord { about: shared.light.clone(), map: Arc::new(map), changed: changed.into(), lit: None };
+    let light = LightRecord {
+        about: shared.light.clone(),
+        map: Arc::new(map),
+        changed: changed.into(),
+        lit: None,
+        earlier: EarlierLight::default(),
+    };
     let lighting = Lighting::restored(&light, []);
     let version = light.about.version;
     let published = Published::restored(world.clone(), shared.mode, light, unknown, version);

@@ -18,6 +18,7 @@ use crate::engine::{
     Budget, Canceled, Edit, LightMap, Pass, Progress, Snapshot, Transition, Update, World, carry_over, have_same_slots,
     lengthened, with_layers_of,
 };
+use crate::store::earlier::State;
 use crate::store::lighting::{Samples, Sequence, Unlit, Work};
 use crate::store::scene::SceneEntry;
 
@@ -127,15 +128,15 @@ fn light(jobs: &Arc<Jobs>, run: &Run) -> RunEnd {
                 Err(end) => end,
             }
         }
-        Work::Update(mut map, due) => {
+        Work::Update(mut from, mut map, due) => {
             let steps = steps(due);
             let last = steps.len().saturating_sub(1);
             for (i, step) in steps.into_iter().enumerate() {
                 let floor = floor.filter(|_| i == last);
                 let yields = if i == last { step.yields(run) } else { Yields::Never };
                 observer.begin(Piece { sequence: step.sequence, slots: step.slots, floor, yields, before: 0 });
-                match light_step(run, &observer, map, &step, (i, i == last)) {
-                    Ok(lit) => map = lit,
+                match light_step(run, &observer, (from, map), &step, (i, i == last)) {
+                    Ok(lit) => (from, map) = (step.sequence, lit),
                     Err(end) => return end,
                 }
             }
@@ -183,11 +184,12 @@ fn done(run: &Run) -> RunEnd {
     Outcome::Succeeded.into()
 }
 
-/// From `map` to that after a step, the `index`-th of its job; how the job ends where there is none.
+/// From a map that is right for a sequence number to that after a step, the `index`-th of its job; how the job ends where
+/// there is none.
 fn light_step(
     run: &Run,
     observer: &JobObserver<'_>,
-    map: Arc<LightMap>,
+    (sequence, map): (Sequence, Arc<LightMap>),
     step: &Step,
     (index, is_last): (usize, bool),
 ) -> Result<Arc<LightMap>, RunEnd> {
@@ -197,26 +199,27 @@ fn light_step(
         scene.set_lit(step.sequence, map.clone(), Samples::Same);
         return Ok(map);
     };
-    scene.earlier.remember(&transition.before, &map);
+    let before = State { sequence, world: transition.before.clone(), map };
+    scene.earlier.remember(&before);
     if let Some(known) = scene.earlier.recall(&transition.after) {
         let known = lengthened(&known, step.slots);
-        let lit = if step.relights() { with_layers_of(known, &map, &transition.after.scene) } else { known };
+        let lit = if step.relights() { with_layers_of(known, &before.map, &transition.after.scene) } else { known };
         restore(observer, scene, step.sequence, &transition.after, &lit);
-        scene.earlier.computed(&transition.before, &map, &step.edits, &lit, false);
+        scene.earlier.computed(&before, &step.edits, &lit, false);
         return Ok(lit);
     }
     scene.drag.drop_stale(&transition.after);
     if is_last && step.drags() {
-        first_frame(observer, scene, transition, &map, spec.seed);
+        first_frame(observer, scene, transition, &before.map, spec.seed);
     }
-    let shortcut = scene.earlier.shortcut(&map, transition, &step.edits);
-    let (transition, map, edits) = match &shortcut {
-        Some(shortcut) => (&shortcut.transition, &shortcut.map, &shortcut.edits),
-        None => (transition, &map, &step.edits),
+    let shortcut = scene.earlier.shortcut(&before.map, transition, &step.edits);
+    let (transition, from, edits) = match &shortcut {
+        Some(shortcut) => (&shortcut.transition, &shortcut.from, &shortcut.edits),
+        None => (transition, &before, &step.edits),
     };
     let budget = &spec.engine_budget();
     let importance = Some(&spec.importance).filter(|_| is_last);
-    let work = Update { transition, map, budget, importance, seed: spec.seed.wrapping_add(index as u64) };
+    let work = Update { transition, map: &from.map, budget, importance, seed: spec.seed.wrapping_add(index as u64) };
     let result = observer.jobs.config.engine.update(&work, observer).map(|map| lengthened(&map, step.slots));
     if result.is_err() && observer.ended_as_estimate() {
         // The estimate stays in sight, but the next step starts from the light that is right.
@@ -224,7 +227,7 @@ fn light_step(
         return Err(Outcome::Succeeded.into());
     }
     let lit = take_over_end(observer, scene, (step.sequence, |_| Samples::Same), result)?;
-    scene.earlier.computed(&transition.before, map, edits, &lit, observer.was_cut());
+    scene.earlier.computed(from, edits, &lit, observer.was_cut());
     Ok(lit)
 }
 

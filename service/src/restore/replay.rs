@@ -1,5 +1,6 @@
 //! Edits of a scene applied again in their order, which gives the same slots, and the saved light held against them.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use rebake_core::allowed::Allowed;
@@ -11,7 +12,7 @@ use crate::store::assets::Assets;
 use crate::store::disk::SavedEdit;
 use crate::store::history::{self, History};
 use crate::store::lighting::{Sequence, Unlit};
-use crate::store::records::LightRecord;
+use crate::store::records::{EarlierLight, LightRecord};
 
 /// A scene after all of its edits.
 pub(super) struct Replayed {
@@ -23,7 +24,37 @@ pub(super) struct Replayed {
     lit_slots: Option<usize>,
     /// Edits that the saved light does not know.
     pub(super) unlit: Vec<Unlit>,
+    /// Worlds that saved light of earlier states is of.
+    pub(super) earlier: BTreeMap<Sequence, World>,
+    /// Edits between what the saved light was computed from and what it is right for.
+    pub(super) since_base: Vec<Edit>,
     pub(super) history: History,
+}
+
+/// Sequence numbers of what is kept of a replay.
+#[derive(Default)]
+struct Wanted {
+    shown: Option<Sequence>,
+    lit: Option<Sequence>,
+    earlier: BTreeSet<Sequence>,
+    base: Option<Sequence>,
+}
+
+impl Wanted {
+    fn by(light: &LightRecord) -> Wanted {
+        let EarlierLight { kept, base } = &light.earlier;
+        Wanted {
+            shown: Some(light.about.shown),
+            lit: light.lit.as_ref().map(|(sequence, _)| *sequence),
+            earlier: kept.iter().chain(base).map(|(sequence, _)| *sequence).collect(),
+            base: base.as_ref().map(|(sequence, _)| *sequence),
+        }
+    }
+
+    /// Whether an edit lies between the base and the light that was computed from it.
+    fn is_since_base(&self, sequence: Sequence) -> bool {
+        self.base.zip(self.lit).is_some_and(|(base, lit)| (base + 1..=lit).contains(&sequence))
+    }
 }
 
 /// Applies all edits again. Only what `light` does not know is kept: every world has arrays of its own.
@@ -33,18 +64,19 @@ pub(super) fn replay(
     edits: &[SavedEdit],
     light: Option<&LightRecord>,
 ) -> Result<Replayed, StoreError> {
-    let shown = light.map(|light| light.about.shown);
-    let lit = light.and_then(|light| light.lit.as_ref()).map(|(sequence, _)| *sequence);
-    let known = shown.map_or(Sequence::MAX, |shown| lit.map_or(shown, |lit| lit.min(shown)));
+    let wanted = light.map(Wanted::by).unwrap_or_default();
+    let known = wanted.shown.map_or(Sequence::MAX, |shown| wanted.lit.map_or(shown, |lit| lit.min(shown)));
     let mut replayed = Replayed {
         world: uploaded,
         sequence: 0,
         shown: None,
         lit_slots: None,
         unlit: Vec::new(),
+        earlier: BTreeMap::new(),
+        since_base: Vec::new(),
         history: History::new(usize::MAX),
     };
-    replayed.note(shown, lit);
+    replayed.note(&wanted);
     for saved in edits {
         let sequence = &saved.sequence;
         let failed = |why: String| StoreError::damaged("an edit cannot be applied again", format!("{sequence}: {why}"));
@@ -59,7 +91,10 @@ pub(super) fn replay(
         replayed.history.accept(accepted, parsed.way(), (&replayed.world.scene, &transition.after.scene));
         replayed.world = transition.after.clone();
         replayed.sequence = *sequence;
-        replayed.note(shown, lit);
+        replayed.note(&wanted);
+        if wanted.is_since_base(*sequence) {
+            replayed.since_base.extend_from_slice(&edits);
+        }
         if *sequence > known {
             let transition = Arc::new(transition);
             replayed.unlit.push(Unlit { sequence: *sequence, transition, edits: edits.into() });
@@ -69,12 +104,15 @@ pub(super) fn replay(
 }
 
 impl Replayed {
-    fn note(&mut self, shown: Option<Sequence>, lit: Option<Sequence>) {
-        if shown == Some(self.sequence) {
+    fn note(&mut self, wanted: &Wanted) {
+        if wanted.shown == Some(self.sequence) {
             self.shown = Some(self.world.clone());
         }
-        if lit == Some(self.sequence) {
+        if wanted.lit == Some(self.sequence) {
             self.lit_slots = Some(self.world.slots());
+        }
+        if wanted.earlier.contains(&self.sequence) {
+            self.earlier.insert(self.sequence, self.world.clone());
         }
     }
 }

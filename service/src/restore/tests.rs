@@ -77,6 +77,8 @@ fn a_bad_row_of_any_table_leaves_all_other_scenes_served() {
         ("INSERT INTO edits VALUES (2, 1, 7)", damaged),
         ("INSERT INTO light (scene, about, map, changed) VALUES (2, x'ff', 'a', 'b')", told),
         ("INSERT INTO light (scene, about, map, changed) VALUES (2, '{}', 'a', 'b')", told),
+        ("INSERT INTO earlier VALUES (2, 0, 0, 'no such file')", whole),
+        ("INSERT INTO earlier VALUES (2, -1, 0, x'ff'); INSERT INTO earlier VALUES (2, 0, 'x', 'a')", whole),
         ("INSERT INTO assets VALUES (x'ff'); INSERT INTO assets VALUES ('no such file')", whole),
         ("INSERT INTO jobs VALUES (7, 2, 1, 'x'); INSERT INTO jobs VALUES (8, 2, 1, x'ff')", whole),
         ("INSERT INTO keys (scene, key, body_hash, job, answer) VALUES (2, x'ff', 'a', 1, 'a')", whole),
@@ -110,6 +112,27 @@ fn with_light() -> (TempDir, u64, Arc<LightMap>) {
     app.jobs.close();
     app.store.close();
     (directory, version, map)
+}
+
+/// What undo goes back to comes back with the light, as far as its files are there.
+#[test]
+fn earlier_light_comes_back_where_it_can_be_read() {
+    let (directory, _, map) = with_light();
+    change(
+        &directory,
+        "INSERT INTO earlier SELECT 2, 0, 0, 'no such file';
+        INSERT INTO earlier SELECT 2, 1, 0, lit FROM light WHERE scene = 2;
+        INSERT INTO earlier SELECT 2, -1, 9, lit FROM light WHERE scene = 2;",
+    );
+    let app = opened(&directory);
+    let scene = app.scenes.get(2).unwrap();
+    assert!(scene.error().is_none() && !scene.is_damaged());
+    let known = scene.earlier.recall(&scene.published().world);
+    assert!(known.is_some_and(|known| *known == *map));
+    // No edit led to the ninth state.
+    let saved = scene.light_record().earlier;
+    assert!(saved.base.is_none() && saved.kept.len() == 1 && saved.kept[0].0 == 0);
+    app.jobs.close();
 }
 
 /// Light that another version of the layout has kept is for other elements, even where these are as many: the scene is

@@ -102,8 +102,8 @@ pub(crate) fn unknown_of_saved(light: &LightRecord, unlit: &[Unlit]) -> Unknown 
 pub(crate) enum Work {
     /// Bake this world.
     Bake(Box<World>),
-    /// Light these edits, one after the other, from this map.
-    Update(Arc<LightMap>, Vec<Unlit>),
+    /// Light these edits, one after the other, from this map, which is right for this sequence number.
+    Update(Sequence, Arc<LightMap>, Vec<Unlit>),
 }
 
 impl Lighting {
@@ -193,7 +193,7 @@ impl Lighting {
             None => Work::Bake(Box::new(published.world.clone())),
             Some(map) => {
                 let due = self.unlit.range((Excluded(self.lit_sequence), Included(self.shown_sequence)));
-                Work::Update(map.clone(), due.map(|(_, unlit)| unlit.clone()).collect())
+                Work::Update(self.lit_sequence, map.clone(), due.map(|(_, unlit)| unlit.clone()).collect())
             }
         }
     }

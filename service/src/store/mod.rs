@@ -8,7 +8,7 @@ pub(crate) mod computed;
 pub(crate) mod deltas;
 pub(crate) mod disk;
 mod drag;
-mod earlier;
+pub(crate) mod earlier;
 pub mod faults;
 pub(crate) mod filtered;
 pub(crate) mod history;

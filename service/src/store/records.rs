@@ -254,6 +254,17 @@ pub(crate) struct LightRecord {
     pub(crate) changed: Arc<[u64]>,
     /// What the next job starts from, and what it is right for.
     pub(crate) lit: Option<(Sequence, Arc<LightMap>)>,
+    /// Light of states before.
+    pub(crate) earlier: EarlierLight,
+}
+
+/// Light maps of a scene's earlier states, each with the sequence number that it is right for.
+#[derive(Clone, Default)]
+pub(crate) struct EarlierLight {
+    /// What undo goes back to, the oldest first.
+    pub(crate) kept: Vec<(Sequence, Arc<LightMap>)>,
+    /// What the light to start from was computed from.
+    pub(crate) base: Option<(Sequence, Arc<LightMap>)>,
 }
 
 /// Of light that was kept before layouts had versions.
@@ -286,6 +297,9 @@ pub(crate) struct LightState {
     /// What was done towards the scene's target.
     #[serde(default)]
     pub(crate) effort: Effort,
+    /// Time ended the light to start from before it was as accurate as was asked for.
+    #[serde(default)]
+    pub(crate) is_coarse: bool,
 }
 
 /// What was measured of a map's error of resolution: sums of squares, as the engine has them.

@@ -280,11 +280,14 @@ impl SceneEntry {
             let (right_for, lit) = lighting.saved();
             (self.published(), lighting.shown(), right_for, lit, lighting.effort())
         };
+        let saved = lit.as_ref().map(|(_, lit)| self.earlier.saved(lit));
+        let (earlier, is_coarse) = saved.unwrap_or_default();
         let record = LightRecord {
-            about: LightState { effort, ..published.state(shown, right_for) },
+            about: LightState { effort, is_coarse, ..published.state(shown, right_for) },
             map: published.map.clone(),
             changed: published.changed.clone(),
             lit,
+            earlier,
         };
         (record, published)
     }

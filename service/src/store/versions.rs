@@ -173,6 +173,7 @@ impl Published {
             layout: layout_hash(&self.world),
             layout_version: engine::LAYOUT_VERSION,
             effort: Effort::default(),
+            is_coarse: false,
             weights: self.layers.iter().map(|layer| layer.weight.to_array().map(f32::to_bits)).collect(),
         }
     }

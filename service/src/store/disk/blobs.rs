@@ -32,6 +32,13 @@ pub(super) struct Pin<'a> {
     pub(super) id: BlobId,
 }
 
+/// A file as it was written.
+#[derive(Clone, Debug)]
+pub(super) struct Whole {
+    pub(super) id: BlobId,
+    pub(super) bytes: u64,
+}
+
 impl Drop for Pin<'_> {
     fn drop(&mut self) {
         let mut pins = self.blobs.pins();
@@ -73,6 +80,14 @@ impl Blobs {
             self.write(&path, bytes)?;
         }
         Ok(pin)
+    }
+
+    /// A file that was written before; none where it is not there as it was.
+    pub(super) fn pin(&self, file: &Whole) -> Option<Pin<'_>> {
+        *self.pins().entry(file.id.clone()).or_default() += 1;
+        let pin = Pin { blobs: self, id: file.id.clone() };
+        let is_there = fs::metadata(self.path_of(&pin.id)).is_ok_and(|found| found.len() == file.bytes);
+        is_there.then_some(pin)
     }
 
     /// Reads a file and checks it.

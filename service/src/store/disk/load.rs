@@ -1,18 +1,21 @@
 //! Reading a data directory at the start.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use jiff::Timestamp;
 use rusqlite::Connection;
 
 use super::blobs::BlobId;
+use super::write::BASE;
 use super::{Disk, codec, open, schema};
 use crate::engine::LightMap;
 use crate::jobs::queue::{JobNumber, SceneNumber};
 use crate::store::StoreError;
 use crate::store::lighting::Sequence;
-use crate::store::records::{JobRecord, KeyRecord, LightRecord, LightState, Origin, SceneRecord, UploadRecord};
+use crate::store::records::{
+    EarlierLight, JobRecord, KeyRecord, LightRecord, LightState, Origin, SceneRecord, UploadRecord,
+};
 
 /// All that was kept, files aside.
 pub(crate) struct Saved {
@@ -58,6 +61,8 @@ struct SavedLight {
     map: BlobId,
     changed: BlobId,
     lit: Option<(Sequence, BlobId)>,
+    /// Of earlier states: place, sequence number and map.
+    earlier: Vec<(i64, Sequence, BlobId)>,
 }
 
 impl Disk {
@@ -116,7 +121,20 @@ impl Disk {
             Some((sequence, id)) => Some((*sequence, Arc::new(self.map(id)?))),
             None => None,
         };
-        Ok(Some(LightRecord { about, map, changed: changed.into(), lit }))
+        let mut maps: HashMap<&BlobId, Arc<LightMap>> = HashMap::from([(&light.map, map.clone())]);
+        maps.extend(light.lit.iter().zip(&lit).map(|((_, id), (_, lit))| (id, lit.clone())));
+        let mut earlier = EarlierLight::default();
+        for (place, sequence, id) in &light.earlier {
+            let known = maps.get(id).cloned();
+            // Nothing that is seen is lost with it.
+            let Ok(map) = known.map_or_else(|| self.map(id).map(Arc::new), Ok) else { continue };
+            maps.insert(id, map.clone());
+            match place {
+                &BASE => earlier.base = Some((*sequence, map)),
+                _ => earlier.kept.push((*sequence, map)),
+            }
+        }
+        Ok(Some(LightRecord { about, map, changed: changed.into(), lit, earlier }))
     }
 
     fn map(&self, id: &str) -> Result<LightMap, StoreError> {
@@ -126,7 +144,8 @@ impl Disk {
 
     fn sweep(&self, connection: &Connection) -> Result<(), StoreError> {
         let sql = "SELECT blob FROM scenes UNION SELECT id FROM assets UNION SELECT map FROM light
-            UNION SELECT changed FROM light UNION SELECT lit FROM light WHERE lit IS NOT NULL";
+            UNION SELECT changed FROM light UNION SELECT lit FROM light WHERE lit IS NOT NULL
+            UNION SELECT map FROM earlier";
         let (referred, left_out) = column(connection, sql)?;
         let referred: HashSet<BlobId> = referred.into_iter().collect();
         // Rather too much is kept than an emptied database believed, or a row that names nobody knows which file.
@@ -201,6 +220,9 @@ fn scenes(connection: &Connection) -> Result<Vec<SavedScene>, StoreError> {
             scene.record = Err(StoreError::damaged("edits of the scene cannot be read", detail));
         }
         scene.keys = keys(connection, scene.number)?;
+        if let Some(light) = &mut scene.light {
+            light.earlier = earlier(connection, scene.number)?;
+        }
     }
     Ok(scenes)
 }
@@ -210,7 +232,16 @@ fn saved_light(row: &rusqlite::Row<'_>) -> rusqlite::Result<Option<SavedLight>> 
     let Some(about) = row.get::<_, Option<String>>(5)? else { return Ok(None) };
     let sequence: Option<i64> = row.get(8)?;
     let lit = sequence.map(|sequence| sequence as Sequence).zip(row.get(9)?);
-    Ok(Some(SavedLight { about, map: row.get(6)?, changed: row.get(7)?, lit }))
+    Ok(Some(SavedLight { about, map: row.get(6)?, changed: row.get(7)?, lit, earlier: Vec::new() }))
+}
+
+/// Light maps of a scene's earlier states.
+fn earlier(connection: &Connection, scene: SceneNumber) -> Result<Vec<(i64, Sequence, BlobId)>, StoreError> {
+    let mut select =
+        connection.prepare_cached("SELECT place, sequence, map FROM earlier WHERE scene = ?1 ORDER BY place")?;
+    let rows =
+        select.query_map([scene as i64], |row| Ok((row.get(0)?, row.get::<_, i64>(1)? as Sequence, row.get(2)?)))?;
+    Ok(readable(rows, "earlier light")?.0)
 }
 
 /// Edits of a scene, in their order, and how many rows were left out.

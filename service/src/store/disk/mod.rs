@@ -13,13 +13,14 @@ mod write;
 
 use std::fs::{File, TryLockError};
 use std::path::Path;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError, Weak};
 
 use rusqlite::{Connection, Transaction, TransactionBehavior};
 
 use super::StoreError;
 use super::faults::{Faults, WriteStep};
-use blobs::Blobs;
+use crate::engine::LightMap;
+use blobs::{Blobs, Whole};
 pub(crate) use load::{Saved, SavedEdit, SavedScene};
 use spare::Spare;
 
@@ -33,6 +34,8 @@ pub(crate) struct Disk {
     faults: Faults,
     max_keys: usize,
     lock: Mutex<Option<File>>,
+    /// Light maps that are somewhere in memory, with their files.
+    written: Mutex<Vec<(Weak<LightMap>, Whole)>>,
 }
 
 impl Disk {
@@ -55,7 +58,7 @@ impl Disk {
         schema::prepare(&mut connection, mark::has_blobs(directory)?)?;
         let blobs = Blobs::open(directory, faults.clone())?;
         let (connection, lock) = (Mutex::new(Some(connection)), Mutex::new(Some(lock)));
-        Ok(Disk { connection, blobs, spare: Spare::new(directory), faults, max_keys, lock })
+        Ok(Disk { connection, blobs, spare: Spare::new(directory), faults, max_keys, lock, written: Mutex::default() })
     }
 
     /// Runs `change` as one transaction.

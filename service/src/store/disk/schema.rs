@@ -7,8 +7,8 @@ use super::super::StoreError;
 /// Grows with every change of the tables.
 const VERSION: i64 = 1;
 
-/// What is told of an accepted edit beside its body, and idempotency keys of uploads. Made where they are missing: the
-/// tables of earlier builds lack them, and those builds do not mind.
+/// What is told of an accepted edit beside its body, idempotency keys of uploads, and light maps of earlier states. Made
+/// where they are missing: the tables of earlier builds lack them, and those builds do not mind.
 const ADDED: &str = "
 CREATE TABLE IF NOT EXISTS history (
     scene INTEGER NOT NULL REFERENCES scenes ON DELETE CASCADE, sequence INTEGER NOT NULL, job INTEGER NOT NULL,
@@ -16,6 +16,10 @@ CREATE TABLE IF NOT EXISTS history (
 -- `scene`: no reference, since a key outlives what it made.
 CREATE TABLE IF NOT EXISTS upload_keys (
     number INTEGER PRIMARY KEY, key TEXT NOT NULL UNIQUE, hash TEXT NOT NULL, scene INTEGER, job INTEGER);
+-- `place`: of what undo goes back to, the oldest first; -1 has what the light to start from was computed from.
+CREATE TABLE IF NOT EXISTS earlier (
+    scene INTEGER NOT NULL REFERENCES scenes ON DELETE CASCADE, place INTEGER NOT NULL, sequence INTEGER NOT NULL,
+    map TEXT NOT NULL, PRIMARY KEY (scene, place)) WITHOUT ROWID;
 ";
 
 const TABLES: &str = "

@@ -1,19 +1,23 @@
 //! [`Store`] on a data directory.
 
-use std::sync::PoisonError;
+use std::sync::{Arc, PoisonError};
 
 use bytes::Bytes;
 use rusqlite::{OptionalExtension, Transaction};
 
-use super::blobs::{BlobId, Pin};
+use super::blobs::{BlobId, Pin, Whole};
 use super::{Disk, codec, open, schema, to_json};
+use crate::engine::LightMap;
 use crate::jobs::queue::{JobNumber, SceneNumber};
 use crate::store::lighting::Sequence;
 use crate::store::records::{
-    Accepted, JobRecord, KeyRecord, LightRecord, Origin, SceneChange, SceneRecord, UploadRecord,
+    Accepted, EarlierLight, JobRecord, KeyRecord, LightRecord, Origin, SceneChange, SceneRecord, UploadRecord,
 };
 use crate::store::versions::FIRST_RESERVE;
 use crate::store::{Store, StoreError};
+
+/// Place, among light maps of earlier states, of the one that the light to start from was computed from.
+pub(super) const BASE: i64 = -1;
 
 impl Store for Disk {
     fn upload(&self, scene: SceneNumber) -> Result<Bytes, StoreError> {
@@ -200,14 +204,32 @@ impl Disk {
     }
 
     fn light_pins(&self, light: &LightRecord) -> Result<LightPins<'_>, StoreError> {
-        let map = self.blobs.put(&codec::encode_map(&light.map))?;
+        let map = self.map_pin(&light.map)?;
         let changed = self.blobs.put(&codec::encode_versions(&light.changed)?)?;
-        let lit = match &light.lit {
-            Some((_, lit)) if std::sync::Arc::ptr_eq(lit, &light.map) => Some(map.id.clone()),
-            Some((_, lit)) => return Ok(LightPins::new(map, changed, Some(self.blobs.put(&codec::encode_map(lit))?))),
-            None => None,
+        let lit = light.lit.as_ref().map(|(_, lit)| self.map_pin(lit)).transpose()?;
+        let EarlierLight { kept, base } = &light.earlier;
+        let of_base = base.iter().map(|state| (BASE, state));
+        let earlier =
+            (0..).zip(kept).chain(of_base).map(|(place, (sequence, map))| Ok((place, *sequence, self.map_pin(map)?)));
+        let earlier = earlier.collect::<Result<_, StoreError>>()?;
+        Ok(LightPins { map, changed, lit, earlier })
+    }
+
+    /// Writes a map, unless that was done.
+    fn map_pin(&self, map: &Arc<LightMap>) -> Result<Pin<'_>, StoreError> {
+        let written = || self.written.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = {
+            let mut written = written();
+            written.retain(|(map, _)| map.strong_count() > 0);
+            written.iter().find(|(known, _)| known.as_ptr() == Arc::as_ptr(map)).map(|(_, file)| file.clone())
         };
-        Ok(LightPins { lit_id: lit, map, changed, _lit: None })
+        if let Some(pin) = known.and_then(|file| self.blobs.pin(&file)) {
+            return Ok(pin);
+        }
+        let bytes = codec::encode_map(map);
+        let pin = self.blobs.put(&bytes)?;
+        written().push((Arc::downgrade(map), Whole { id: pin.id.clone(), bytes: bytes.len() as u64 }));
+        Ok(pin)
     }
 
     /// Removes those of the files that nothing refers to any more.
@@ -216,7 +238,8 @@ impl Disk {
             self.blobs.collect(id, || {
                 let sql = "SELECT EXISTS (SELECT 1 FROM scenes WHERE blob = ?1)
                     OR EXISTS (SELECT 1 FROM assets WHERE id = ?1)
-                    OR EXISTS (SELECT 1 FROM light WHERE map = ?1 OR changed = ?1 OR lit = ?1)";
+                    OR EXISTS (SELECT 1 FROM light WHERE map = ?1 OR changed = ?1 OR lit = ?1)
+                    OR EXISTS (SELECT 1 FROM earlier WHERE map = ?1)";
                 let connection = self.connection();
                 Ok(open(&connection)?.query_row(sql, [id], |row| row.get(0))?)
             });
@@ -229,14 +252,9 @@ impl Disk {
 struct LightPins<'a> {
     map: Pin<'a>,
     changed: Pin<'a>,
-    lit_id: Option<BlobId>,
-    _lit: Option<Pin<'a>>,
-}
-
-impl<'a> LightPins<'a> {
-    fn new(map: Pin<'a>, changed: Pin<'a>, lit: Option<Pin<'a>>) -> LightPins<'a> {
-        LightPins { map, changed, lit_id: lit.as_ref().map(|pin| pin.id.clone()), _lit: lit }
-    }
+    lit: Option<Pin<'a>>,
+    /// Place, sequence number and map.
+    earlier: Vec<(i64, Sequence, Pin<'a>)>,
 }
 
 fn put_light(t: &Transaction<'_>, scene: i64, light: &LightRecord, files: &LightPins<'_>) -> Result<(), StoreError> {
@@ -247,7 +265,15 @@ fn put_light(t: &Transaction<'_>, scene: i64, light: &LightRecord, files: &Light
         ON CONFLICT (scene) DO UPDATE SET about = excluded.about, map = excluded.map, changed = excluded.changed,
             lit_sequence = excluded.lit_sequence, lit = excluded.lit";
     let about = to_json(&light.about)?;
-    t.execute(sql, (scene, about, &files.map.id, &files.changed.id, lit_sequence, &files.lit_id))?;
+    let lit = files.lit.as_ref().map(|lit| &lit.id);
+    t.execute(sql, (scene, about, &files.map.id, &files.changed.id, lit_sequence, lit))?;
+    t.execute("DELETE FROM earlier WHERE scene = ?1", [scene])?;
+    let sql = "INSERT INTO earlier (scene, place, sequence, map)
+        SELECT ?1, ?2, ?3, ?4 WHERE EXISTS (SELECT 1 FROM scenes WHERE number = ?1)";
+    let mut insert = t.prepare_cached(sql)?;
+    for (place, sequence, map) in &files.earlier {
+        insert.execute((scene, place, *sequence as i64, &map.id))?;
+    }
     Ok(())
 }
 
@@ -256,7 +282,10 @@ fn light_files(t: &Transaction<'_>, scene: i64) -> Result<Vec<BlobId>, StoreErro
     let files = |row: &rusqlite::Row<'_>| -> rusqlite::Result<[Option<BlobId>; 3]> {
         Ok([row.get(0)?, row.get(1)?, row.get(2)?])
     };
-    Ok(t.query_row(sql, [scene], files).optional()?.into_iter().flatten().flatten().collect())
+    let light = t.query_row(sql, [scene], files).optional()?.into_iter().flatten().flatten();
+    let mut earlier = t.prepare_cached("SELECT map FROM earlier WHERE scene = ?1")?;
+    let earlier = earlier.query_map([scene], |row| row.get(0))?;
+    light.map(Ok).chain(earlier).collect::<Result<_, _>>().map_err(StoreError::from)
 }
 
 fn put_job(t: &Transaction<'_>, job: &JobRecord) -> Result<(), StoreError> {
