@@ -1,6 +1,6 @@
-//! What names, strengths and spacings may be: the same for uploads, edits and what is brought back from a disk.
+//! What names, strengths, places and spacings may be: the same for uploads, edits and what is brought back from a disk.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 /// Bounds on what a client may ask for.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -9,6 +9,9 @@ pub struct Allowed {
     pub name_chars: usize,
     /// Largest colour, intensity, and product of both: beyond it are mistakes; below it nothing overflows.
     pub brightest: f32,
+    /// Greatest distance from the zero of scene space along an axis, and greatest factor of a transform: products of four
+    /// lengths must stay far from the end of `f32`.
+    pub farthest: f64,
     /// Names may hold control characters.
     allows_control: bool,
 }
@@ -25,10 +28,11 @@ pub struct StrengthError {
 
 impl Allowed {
     /// Of what is asked for now.
-    pub const ASKED: Allowed = Allowed { name_chars: 256, brightest: 1e9, allows_control: false };
+    pub const ASKED: Allowed = Allowed { name_chars: 256, brightest: 1e9, farthest: 1e8, allows_control: false };
     /// Of what is in files, and of what was accepted once: nothing that was acknowledged is lost, whatever bounds an earlier
     /// version had.
-    pub const KEPT: Allowed = Allowed { name_chars: usize::MAX, brightest: 1e12, allows_control: true };
+    pub const KEPT: Allowed =
+        Allowed { name_chars: usize::MAX, brightest: 1e12, farthest: f64::INFINITY, allows_control: true };
 
     /// A name for something.
     ///
@@ -65,6 +69,17 @@ impl Allowed {
         }
         let (Some(color), Some(intensity)) = (color, intensity) else { return Ok(()) };
         self.check_product(color, intensity).map_err(|reason| StrengthError { field: "intensity", reason })
+    }
+
+    /// A place in a scene whose scene space has its zero at `origin`.
+    ///
+    /// # Errors
+    /// What is wrong with it, for people.
+    pub fn check_place(&self, place: DVec3, origin: DVec3) -> Result<(), String> {
+        match place.is_finite() && (place - origin).abs().max_element() <= self.farthest {
+            true => Ok(()),
+            false => Err(format!("has to be finite and within {:e} m of the scene", self.farthest)),
+        }
     }
 
     /// Colour and intensity of a light together.
@@ -119,6 +134,14 @@ mod tests {
         assert_eq!(asked(Some(1e5), Some(1.1e4)), Some("intensity"));
         assert_eq!(field(Allowed::KEPT, Some(Vec3::splat(1e5)), Some(1e7)), None);
         assert_eq!(field(Allowed::KEPT, Some(Vec3::splat(1e6)), Some(1.1e6)), Some("intensity"));
+    }
+
+    #[test]
+    fn places_are_near_the_scene() {
+        let origin = DVec3::splat(6.4e9);
+        let is_within = |allowed: Allowed, x: f64| allowed.check_place(origin + DVec3::X * x, origin).is_ok();
+        assert!(is_within(Allowed::ASKED, 0.9e8) && !is_within(Allowed::ASKED, -1.1e8));
+        assert!(is_within(Allowed::KEPT, 1e300) && !is_within(Allowed::KEPT, f64::NAN));
     }
 
     #[test]

@@ -154,6 +154,13 @@ pub struct EditError {
     pub kind: EditErrorKind,
 }
 
+impl EditError {
+    /// The same of the `index`-th edit of a list.
+    pub(crate) fn in_list(self, index: usize) -> EditError {
+        EditError { field: format!("edits[{index}].{}", self.field), ..self }
+    }
+}
+
 /// Kinds of refusal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EditErrorKind {

@@ -23,6 +23,18 @@ impl World {
         draft.finish(self)
     }
 
+    /// Whether objects may go where edits put them: told before anybody asks what their elements would take.
+    ///
+    /// # Errors
+    /// [`EditError`], which names the field at fault.
+    pub fn check_places(&self, edits: &[Edit]) -> Result<(), EditError> {
+        for (i, edit) in edits.iter().enumerate() {
+            let (Edit::Insert { transform, .. } | Edit::Move { transform, .. }) = edit else { continue };
+            check_transform(Allowed::ASKED, self.scene.origin, transform).map_err(|e| e.in_list(i))?;
+        }
+        Ok(())
+    }
+
     /// Applies edits that were accepted once: names and strengths may be what [`Allowed::KEPT`] says.
     ///
     /// # Errors
@@ -37,7 +49,7 @@ impl World {
         }
         let mut draft = Draft::new(self, allowed);
         for (i, edit) in edits.iter().enumerate() {
-            draft.apply(edit).map_err(|e| EditError { field: format!("edits[{i}].{}", e.field), ..e })?;
+            draft.apply(edit).map_err(|e| e.in_list(i))?;
         }
         Ok(draft)
     }
@@ -80,7 +92,7 @@ impl Draft {
     fn apply(&mut self, edit: &Edit) -> Result<(), EditError> {
         match edit {
             Edit::Insert { asset, name, transform } => {
-                check_transform(transform)?;
+                check_transform(self.allowed, self.world.scene.origin, transform)?;
                 self.check_free_name(name)?;
                 let (mut object, lights) = merge_as_object(asset, name);
                 object.world_from_object = *transform;
@@ -96,7 +108,7 @@ impl Draft {
                 Ok(())
             }
             Edit::Move { object, transform } => {
-                check_transform(transform)?;
+                check_transform(self.allowed, self.world.scene.origin, transform)?;
                 let index = self.object_index(object)?;
                 self.move_object(index, transform)
             }
@@ -118,7 +130,7 @@ impl Draft {
                     return Err(invalid("light.kind", "an emissive surface is inserted as an object"));
                 }
                 let light = Light { name: name.clone(), kind: kind.clone(), color: *color, intensity: *intensity };
-                check_kind(&light.kind)?;
+                check_kind(self.allowed, self.world.scene.origin, &light.kind)?;
                 self.scene_mut().lights.push(light);
                 Ok(())
             }
@@ -131,6 +143,9 @@ impl Draft {
             }
             Edit::MoveLight { light, position, direction, own_layer } => {
                 let index = self.light_index("light", light)?;
+                let origin = self.world.scene.origin;
+                let far = |reason: String| invalid("position", &reason);
+                position.map_or(Ok(()), |to| self.allowed.check_place(to, origin).map_err(far))?;
                 if *own_layer {
                     self.set_apart(light);
                 }

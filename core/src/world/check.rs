@@ -1,6 +1,6 @@
 //! What an edit may ask for, and the errors that say what it may not.
 
-use glam::{DMat4, Vec3};
+use glam::{DMat4, DVec3, Vec3};
 
 use crate::allowed::Allowed;
 use crate::edit::{Edit, EditError, EditErrorKind};
@@ -18,12 +18,18 @@ pub(super) fn invalid(field: &str, reason: &str) -> EditError {
     error(field, reason, EditErrorKind::Invalid)
 }
 
-pub(super) fn check_transform(m: &DMat4) -> Result<(), EditError> {
+/// Of an object of a scene whose scene space has its zero at `origin`.
+pub(super) fn check_transform(allowed: Allowed, origin: DVec3, m: &DMat4) -> Result<(), EditError> {
     if !m.is_finite() {
         return Err(invalid("transform", "must hold 16 finite numbers"));
     }
     if (m.row(3) - glam::DVec4::W).abs().max_element() > 1e-6 {
         return Err(invalid("transform", "must be affine: its last row is not 0, 0, 0, 1 (16 numbers, column-major)"));
+    }
+    allowed.check_place(m.w_axis.truncate(), origin).map_err(|reason| invalid("transform", &reason))?;
+    let axes = [m.x_axis, m.y_axis, m.z_axis];
+    if axes.iter().any(|axis| axis.abs().max_element() > allowed.farthest) {
+        return Err(invalid("transform", &format!("may enlarge by {:e} at most", allowed.farthest)));
     }
     let determinant = m.determinant().abs();
     let scale = m.x_axis.length() * m.y_axis.length() * m.z_axis.length();
@@ -59,7 +65,13 @@ pub(super) fn check_relit(allowed: Allowed, edits: &[Edit], lights: &[Light]) ->
 /// A disc covers less than half of the sky, radians.
 const MAX_ANGLE: f32 = std::f32::consts::PI;
 
-pub(super) fn check_kind(kind: &LightKind) -> Result<(), EditError> {
+pub(super) fn check_kind(allowed: Allowed, origin: DVec3, kind: &LightKind) -> Result<(), EditError> {
+    let place = match kind {
+        LightKind::Point { position, .. } | LightKind::Spot { position, .. } => Some(*position),
+        _ => None,
+    };
+    let far = |reason: String| invalid("light.position", &reason);
+    place.map_or(Ok(()), |place| allowed.check_place(place, origin).map_err(far))?;
     match kind {
         LightKind::Directional { angle, .. } if !(0.0..MAX_ANGLE).contains(angle) => {
             return Err(invalid("light.angle", "must be at least 0 and below π"));
@@ -69,16 +81,11 @@ pub(super) fn check_kind(kind: &LightKind) -> Result<(), EditError> {
         }
         _ => {}
     }
-    let finite = match kind {
-        LightKind::Point { position, .. } => position.is_finite(),
-        LightKind::Spot { position, direction, .. } => position.is_finite() && direction.is_normalized(),
-        LightKind::Directional { direction, .. } => direction.is_normalized(),
-        LightKind::Environment | LightKind::Sky { .. } | LightKind::Emissive { .. } => true,
-    };
-    if finite {
-        Ok(())
-    } else {
-        Err(invalid("light", "position and direction must be finite, and the direction not zero"))
+    match kind {
+        LightKind::Spot { direction, .. } | LightKind::Directional { direction, .. } if !direction.is_normalized() => {
+            Err(invalid("light.direction", "must be finite and not zero"))
+        }
+        _ => Ok(()),
     }
 }
 

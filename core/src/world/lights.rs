@@ -23,7 +23,7 @@ impl Draft {
     /// Light from outside takes the place of what there is of it.
     pub(super) fn set_sky(&mut self, kind: &LightKind, color: Vec3, intensity: f32) -> Result<(), EditError> {
         check_strength(self.allowed, Some(color), Some(intensity))?;
-        check_kind(kind)?;
+        check_kind(self.allowed, self.world.scene.origin, kind)?;
         if !kind.is_from_outside() {
             return Err(invalid("kind", "must be light from outside"));
         }

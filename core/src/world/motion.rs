@@ -6,10 +6,8 @@ use super::check::invalid;
 use crate::edit::EditError;
 use crate::scene::{Light, LightKind};
 
+/// Where it may move to says who calls.
 pub(super) fn move_light(kind: &mut LightKind, to: Option<DVec3>, turn: Option<Vec3>) -> Result<(), EditError> {
-    if to.is_some_and(|p| !p.is_finite()) {
-        return Err(invalid("position", "must hold three finite numbers"));
-    }
     let turn = match turn.map(Vec3::try_normalize) {
         Some(None) => return Err(invalid("direction", "must be finite and not zero")),
         Some(Some(d)) => Some(d),

@@ -102,6 +102,10 @@ pub(super) fn open<'a>(bytes: &'a [u8], files: &'a Files<'a>, limits: &LoadLimit
         let version = root.asset.version.chars().take(16).collect::<String>();
         return Err(LoadError::Malformed(format!("asset.version is \"{version}\"; this reads glTF 2.0")));
     }
+    if let Some(least) = root.asset.min_version.as_deref().filter(|least| !matches!(*least, "2.0" | "1.0")) {
+        let least = least.chars().take(16).collect::<String>();
+        return Err(LoadError::Malformed(format!("asset.minVersion is \"{least}\"; this reads glTF 2.0")));
+    }
     check_indices(&root)?;
     let (unpacked, read) = (Allowance::of_unpacked(limits), Allowance::of_read(limits));
     let zeros = Allowance::of_zeros(limits);

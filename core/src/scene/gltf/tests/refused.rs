@@ -8,6 +8,7 @@ use super::*;
 const MALFORMED: &[(&str, &str, &str)] = &[
     // The document as a whole.
     ("\"version\": \"2.0\"", "\"version\": \"1.0\"", "glTF 2.0"),
+    ("\"version\": \"2.0\"", "\"version\": \"2.0\", \"minVersion\": \"2.9\"", "minVersion"),
     ("\"asset\"", "\"assets\"", "asset"),
     ("\"scene\": 0,", "\"scene\": 0", "JSON"),
     ("\"scene\": 0,", "\"scene\": 9,", "scene"),
