@@ -5,6 +5,9 @@
 //! one bake picks up the next task of the injector, which may be the whole of another bake, and sits on the first one
 //! until that is over: time budgets and cancels would depend on strangers. Between pools the operating system shares
 //! the cores fairly.
+//!
+//! For the same reason no task of a pool waits for a lock that another holds while it computes, such as a scene's head: it may
+//! have been picked up by the very thread that holds it. Who wants one takes it before, as edits do, or runs apart.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -73,6 +76,25 @@ impl Compute {
         F: FnOnce() -> T + Send + 'static,
     {
         run_on(&self.pictures, true, task).await
+    }
+
+    /// Runs a task that waits for locks which others hold while they compute, or holds some while it computes; nobody waits
+    /// for it. On a thread of its own: one of a pool that waits for its part of a computation takes up the next task, and
+    /// would wait for itself where that wants the same lock.
+    pub(crate) fn spawn_apart(&self, task: impl FnOnce() + Send + 'static) {
+        let task = move || {
+            if let Err(panic) = catching(task) {
+                tracing::error!(%panic, "background task");
+            }
+        };
+        if let Err(error) = std::thread::Builder::new().name("rebake-apart".to_owned()).spawn(task) {
+            tracing::error!(%error, "no thread for a background task");
+        }
+    }
+
+    /// Runs a task that may take seconds on the threads that build, and waits for it. Not from one of a pool.
+    pub(crate) fn build_here<T: Send>(&self, task: impl FnOnce() -> T + Send) -> T {
+        self.builds.install(task)
     }
 
     /// Runs a task that may take seconds; nobody waits for it.

@@ -111,6 +111,32 @@ async fn refused_edits_name_the_field_and_change_nothing() {
             "invalid-value",
             "transform",
         ),
+        (
+            json!({ "op": "move", "object": "cupboard", "transform": translation(1e308, 0.0, 0.0) }),
+            422,
+            "invalid-value",
+            "transform",
+        ),
+        (
+            json!({ "op": "move", "object": "cupboard", "transform": translation(0.0, -1.1e8, 0.0) }),
+            422,
+            "invalid-value",
+            "transform",
+        ),
+        (
+            json!({ "edits": [{ "op": "insert", "asset": asset, "name": "a",
+                "transform": [1e308, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1] }] }),
+            422,
+            "invalid-value",
+            "edits[0].transform",
+        ),
+        (
+            light(json!({ "kind": "point", "position": [0, 1e308, 0], "color": [1, 1, 1], "intensity": 1 })),
+            422,
+            "invalid-value",
+            "light.position",
+        ),
+        (json!({ "op": "move_light", "light": "lamp", "position": [1.1e8, 0, 0] }), 422, "invalid-value", "position"),
         (json!({ "op": "material", "object": "cupboard", "albedo": [0, 0, 1.5] }), 422, "invalid-value", "albedo"),
         (json!({ "op": "material", "object": "cupboard", "albedo": [0, 0, 1e39] }), 422, "invalid-value", "albedo"),
         (json!({ "op": "material", "object": "cupboard", "albedo": "red" }), 422, "invalid-value", "albedo"),
@@ -285,6 +311,15 @@ async fn if_match_names_the_accepted_edits_whatever_the_light_does() {
     let again = server.post_text(&path, &paint, &[("if-match", "\"0\""), ("idempotency-key", "k")]).await;
     assert_eq!((&again.json(202)["id"], again.header("etag")), (&answer.json(202)["id"], "\"1\""));
     assert_eq!(server.get(&path_of(&scene)).await.json(200)["accepted_edits"], 1);
+    // Who changes or deletes the scene itself may say how it knows it, too.
+    let changed = async |method: reqwest::Method, tag: &str| {
+        let request = server.request(method, &path_of(&scene)).header("content-type", "application/json");
+        Answer::of(request.header("if-match", tag).body(r#"{"name":"b"}"#).send().await.unwrap()).await
+    };
+    changed(reqwest::Method::PATCH, "\"0\"").await.problem(412, "precondition-failed");
+    assert_eq!(changed(reqwest::Method::PATCH, "\"1\"").await.json(200)["name"], "b");
+    changed(reqwest::Method::DELETE, "\"0\"").await.problem(412, "precondition-failed");
+    assert_eq!(changed(reqwest::Method::DELETE, "\"1\"").await.status, 204);
     server.stop().await;
 }
 

@@ -55,6 +55,31 @@ async fn an_edit_interrupts_a_bake_which_goes_on_behind_it() {
     server.stop().await;
 }
 
+/// Threads that wait for their part of an edit take up what waits behind it: none of that may wait for the edit.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn targets_and_edits_at_once_hold_nobody_up() {
+    let server = Server::with(|config| config.threads = 2).await;
+    let scene = server.room("?samples_per_element=1").await;
+    let step = |k: i32| {
+        let transform = super::glb::translation(0.002 * f64::from(k % 100), 0.0, 0.0);
+        json!({ "op": "move", "object": "cupboard", "transform": transform, "budget": { "samples_per_element": 1 } })
+    };
+    let edits = async {
+        for k in 0..150 {
+            let answer = server.post_json(&format!("{}/edits", path_of(&scene)), &step(k)).await;
+            assert!([202, 429].contains(&answer.status.as_u16()), "{}", answer.status);
+        }
+    };
+    let targets = async {
+        for k in 0..150 {
+            let target = json!({ "target": { "samples_per_element": 1 + k % 2 } });
+            assert_eq!(patch(&server, &scene, &target).await.status, 200);
+        }
+    };
+    tokio::time::timeout(super::server::PATIENCE, async { tokio::join!(edits, targets) }).await.expect("answers");
+    server.stop().await;
+}
+
 #[tokio::test]
 async fn a_bake_without_a_map_starts_anew_with_the_edits() {
     let (server, script) = Server::scripted().await;

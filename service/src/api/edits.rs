@@ -79,7 +79,6 @@ pub(super) async fn create(
     let scene = find_scene(&app, &id).await?;
     require_content_type(&headers, &["application/json"])?;
     let key = idempotency_key(&headers)?;
-    let if_match = ETags::from_header(&headers, &header::IF_MATCH)?;
     let body = read_body(&app, &headers, body, app.config.limits.edit_bytes).await?;
     let body_hash = blake3::hash(&body);
 
@@ -97,9 +96,7 @@ pub(super) async fn create(
         };
         return Ok(accepted(&app.ids.job(known.job), &answer));
     }
-    if let Some(tags) = if_match {
-        check_if_match(&tags, head.sequence)?;
-    }
+    if_match(&headers, head.sequence)?;
     let body = edit_nodes::with_names(&body, &head.world.scene)?;
     let request = read_request(&app, &head, &body)?;
 
@@ -113,9 +110,11 @@ pub(super) async fn create(
     Ok(accepted(&id, &answer))
 }
 
-/// Whether the scene is still as the client knows it: by the edits that were accepted, however far their light is.
-fn check_if_match(tags: &ETags, accepted: Sequence) -> ApiResult<()> {
-    if tags.matches_strongly(&accepted.to_string()) {
+/// Whether the scene is still as the client knows it, where it says so (`If-Match`): by the edits that were accepted, however
+/// far their light is.
+pub(super) fn if_match(headers: &HeaderMap, accepted: Sequence) -> ApiResult<()> {
+    let tags = ETags::from_header(headers, &header::IF_MATCH)?;
+    if tags.is_none_or(|tags| tags.matches_strongly(&accepted.to_string())) {
         return Ok(());
     }
     let text = format!(
@@ -169,6 +168,7 @@ fn accept(
         let text = "too many edits of this scene are not lit yet";
         return Err(Problem::new(Kind::QueueFull, text).retry_after(1));
     }
+    head.world.check_places(&edits).map_err(|error| edit_problem(error, parsed.is_list))?;
     let room = app.memory.promise(memory::estimate_inserts(&edits, head.world.density()), scene.accepted().bytes);
     let _promise = room.map_err(|full| memory_problem("edited scene", full))?;
     let transition = match edits.is_empty() {

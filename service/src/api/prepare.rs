@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use bytes::Bytes;
-use tokio::sync::oneshot;
+use tokio::sync::{OwnedMutexGuard, oneshot};
 use tokio::time::{Instant, timeout_at};
 
 use super::atlas::atlas_problem;
@@ -17,6 +17,7 @@ use crate::engine::{self, Density, Plan, Scene, SurfaceError, World, WorldError}
 use crate::jobs::tell_scene;
 use crate::memory;
 use crate::state::App;
+use crate::store::accepted::Head;
 use crate::store::layers::LAYER_BYTES;
 use crate::store::scene::SceneEntry;
 
@@ -67,15 +68,14 @@ async fn prepare(
     let _ = answer.send(kept);
     let Some(scene) = scene else { return };
     let built = building.await;
-    let its_app = app.clone();
-    if let Err(panic) = app.compute.run(move || finish(&its_app, &scene, built)).await {
+    let (its_app, head) = (app.clone(), scene.head.clone().lock_owned().await);
+    if let Err(panic) = app.compute.run(move || finish(&its_app, &scene, head, built)).await {
         tracing::error!(%panic, "a scene was not prepared");
     }
 }
 
 /// Lets everybody see a scene that is built by now, or that it cannot be.
-fn finish(app: &Arc<App>, scene: &Arc<SceneEntry>, built: ApiResult<World>) {
-    let mut head = scene.head.blocking_lock();
+fn finish(app: &Arc<App>, scene: &Arc<SceneEntry>, mut head: OwnedMutexGuard<Head>, built: ApiResult<World>) {
     if scene.is_deleted() {
         return;
     }

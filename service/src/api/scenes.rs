@@ -14,6 +14,7 @@ use utoipa::{IntoParams, ToSchema};
 use super::checks::check_name;
 use super::edit_beside::{eye_target_up, to_budget};
 use super::edit_types::Budget;
+use super::edits::if_match;
 use super::extract::{ApiPath, ApiQuery, read_json};
 use super::layers;
 use super::paging::Page;
@@ -83,7 +84,10 @@ pub(super) struct ScenePatch {
 /// Changes a scene's name or its target. Light that is less than the target asks for is refined, behind edits that wait.
 #[utoipa::path(
     patch, path = "/v1/scenes/{scene}", tag = "scenes", operation_id = "patch_scene",
-    params(("scene" = String, Path, description = "The scene's id")),
+    params(
+        ("scene" = String, Path, description = "The scene's id"),
+        ("If-Match" = Option<String>, Header, description = "Refuse unless the scene has accepted exactly the edits that its `ETag` told (`accepted_edits`)", example = "\"3\""),
+    ),
     request_body(content = ScenePatch, content_type = "application/json"),
     responses((status = 200, body = types::Scene, description = "The scene as it is now",
         headers(("ETag" = String, description = "The edits that were accepted so far (`accepted_edits`), for `If-Match`"))))
@@ -102,12 +106,17 @@ pub(super) async fn patch(
     }
     let samples = app.config.defaults.bake_samples;
     let target = target.map(|target| to_budget(Some(target), "target", samples, &app.config)).transpose()?;
+    let head = scene.head.clone().lock_owned().await;
+    if scene.is_deleted() {
+        return Err(Problem::new(Kind::UnknownScene, format!("there is no scene {id:?}")));
+    }
+    if_match(&headers, head.sequence)?;
     let (its_app, its_scene) = (app.clone(), scene.clone());
     let change = move || {
         let change = SceneChange { name: name.as_deref(), target: target.as_ref() };
         its_app.store.scene_changed(its_scene.number, &change)?;
         name.into_iter().for_each(|name| its_scene.set_name(name));
-        target.into_iter().for_each(|target| its_app.jobs.set_target(&its_scene, target));
+        target.into_iter().for_each(|target| its_app.jobs.set_target(&its_scene, &head, target));
         Ok::<_, StoreError>(())
     };
     app.compute.run(change).await??;
@@ -118,13 +127,21 @@ pub(super) async fn patch(
 /// Deletes a scene, cancels its jobs and ends its streams.
 #[utoipa::path(
     delete, path = "/v1/scenes/{scene}", tag = "scenes", operation_id = "delete_scene",
-    params(("scene" = String, Path, description = "The scene's id")),
+    params(
+        ("scene" = String, Path, description = "The scene's id"),
+        ("If-Match" = Option<String>, Header, description = "Refuse unless the scene has accepted exactly the edits that its `ETag` told (`accepted_edits`)", example = "\"3\""),
+    ),
     responses((status = 204, description = "Deleted"))
 )]
-pub(super) async fn delete(State(app): Shared, ApiPath(id): ApiPath<String>) -> ApiResult<StatusCode> {
+pub(super) async fn delete(
+    State(app): Shared,
+    ApiPath(id): ApiPath<String>,
+    headers: HeaderMap,
+) -> ApiResult<StatusCode> {
     let scene = find_any_scene(&app, &id)?;
     // No edit is accepted in between: it would queue a job for a scene that is gone.
-    let _head = scene.head.lock().await;
+    let head = scene.head.lock().await;
+    if_match(&headers, head.sequence)?;
     let (its_app, number) = (app.clone(), scene.number);
     app.compute.run(move || its_app.store.scene_deleted(number)).await??;
     if app.scenes.remove(scene.number).is_none() {

@@ -7,6 +7,7 @@ use super::queue::{JobKind, Priority, Queue};
 use super::seeds::next_seed;
 use super::stop::Asked;
 use super::{JobSpec, Jobs, new_record};
+use crate::store::accepted::Head;
 use crate::store::records::Accepted;
 use crate::store::scene::SceneEntry;
 
@@ -16,7 +17,7 @@ const FIRST_SEED: u64 = 1 << 49;
 impl Jobs {
     /// Gives a scene another target. Jobs that work towards the old one go on towards the new one, and where none does, one
     /// begins if there is anything to do.
-    pub(crate) fn set_target(self: &Arc<Jobs>, scene: &Arc<SceneEntry>, target: JobBudget) {
+    pub(crate) fn set_target(self: &Arc<Jobs>, scene: &Arc<SceneEntry>, head: &Head, target: JobBudget) {
         scene.set_target(target);
         {
             let mut state = self.lock();
@@ -35,14 +36,12 @@ impl Jobs {
                 }
             }
         }
-        self.work_towards_target(scene, true);
+        self.work_towards_target(scene, head, true);
     }
 
     /// Queues a job that brings a scene's light closer to its target, where it is not there yet and none is open that will.
-    /// `takes_up`: edits whose jobs were canceled are lit with it.
-    /// Takes the scene's head: not from an async thread.
-    pub(crate) fn work_towards_target(self: &Arc<Jobs>, scene: &Arc<SceneEntry>, takes_up: bool) {
-        let head = scene.head.blocking_lock();
+    /// `head`: the scene's, so that no edit is accepted meanwhile. `takes_up`: edits whose jobs were canceled are lit with it.
+    pub(crate) fn work_towards_target(self: &Arc<Jobs>, scene: &Arc<SceneEntry>, head: &Head, takes_up: bool) {
         let is_canceled = takes_up && scene.unlit() > 0;
         let is_wanted = |target: &JobBudget| !scene.is_deleted() && (is_canceled || scene.is_behind(target));
         let Some(target) = scene.target().filter(is_wanted) else { return };

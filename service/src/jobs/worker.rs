@@ -82,12 +82,12 @@ fn after(jobs: &Arc<Jobs>, remains: Remains) {
         return;
     }
     let jobs = jobs.clone();
-    jobs.clone().compute.spawn(move || {
-        if asks_for_more {
-            jobs.work_towards_target(&scene, false);
-        }
+    jobs.clone().compute.spawn_apart(move || {
         let (world, accepted) = {
             let head = scene.head.blocking_lock();
+            if asks_for_more {
+                jobs.work_towards_target(&scene, &head, false);
+            }
             (head.world.clone(), head.sequence)
         };
         if accepted > sequence {
@@ -97,7 +97,7 @@ fn after(jobs: &Arc<Jobs>, remains: Remains) {
         if is_busy || !world.needs_rebuild() {
             return;
         }
-        let trees = world.rebuilt_trees();
+        let trees = jobs.compute.build_here(|| world.rebuilt_trees());
         let mut head = scene.head.blocking_lock();
         // None where an edit came in between: the job of that edit ends here too.
         if let Some(world) = head.world.with_trees(trees) {
