@@ -159,6 +159,7 @@ async fn probes_that_make_no_sense_are_refused() {
         ("points=0,1,2;0,1", "points[1]"),
         ("points=0,1,1e300", "points[0]"),
         ("points=0,1,nan", "points[0]"),
+        ("points=nan,0,0", "points[0]"),
         ("points=0,0,0;0,0,0;0,0,0;0,0,0", "points"),
         ("points=0,0,0&bounds=0,0,0,1,1,1", "bounds"),
         ("spacing=9&bounds=0,0,0,1,1", "bounds"),

@@ -136,7 +136,7 @@ pub(super) async fn get(
     let chosen = computed::computed(&app, &scene, &published, chosen).await?;
     match &chosen {
         Chosen::Computed(part) => versioned.about.extend(computed::headers(part)?),
-        Chosen::Map(_) => versioned.state_error(&published)?,
+        Chosen::Map(wanted) => versioned.state_error(&published, *wanted)?,
         _ => {}
     }
     let about = versioned.about;

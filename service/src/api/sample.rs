@@ -156,7 +156,7 @@ fn check_points(points: &[[f64; 6]], published: &Published, limits: &Limits) -> 
 /// Whether a position is one that numbers can tell, near enough to the scene.
 pub(super) fn check_position(point: DVec3, published: &Published, field: &str) -> ApiResult<()> {
     let distance = (point - published.world.scene.origin).abs().max_element();
-    if distance.is_nan() || distance > FARTHEST {
+    if !point.is_finite() || distance > FARTHEST {
         let reason = format!("its position has to be within {FARTHEST:e} m of the scene");
         return Err(Problem::field(Kind::InvalidValue, field, reason));
     }

@@ -2,6 +2,7 @@
 
 use rebake_core::allowed::{Allowed, check_spacing};
 use serde::Deserialize;
+use serde_json::Value;
 use utoipa::IntoParams;
 
 use super::atlas::{self, LayoutName};
@@ -9,6 +10,7 @@ use super::checks::{check_name, check_strength};
 use super::edit_beside::to_budget;
 use super::edit_types::Budget;
 use super::layers::Wanted;
+use super::misread::read;
 use super::problem::{ApiResult, Kind, Problem};
 use super::skies;
 use super::types::JobPriority;
@@ -186,9 +188,12 @@ fn read_target(query: &CreateQuery, app: &App) -> ApiResult<JobBudget> {
         let reason = "comes alone: samples_per_element, max_seconds and target_rmse belong in it";
         return Err(Problem::field(Kind::InvalidQuery, "target", reason));
     }
-    let budget = serde_json::from_str::<Budget>(text);
-    let budget =
-        budget.map_err(|error| Problem::field(Kind::InvalidQuery, "target", format!("has to be JSON: {error}")))?;
+    let refused = |reason: String| Problem::field(Kind::InvalidQuery, "target", reason);
+    let value: Value = serde_json::from_str(text).map_err(|error| refused(format!("has to be JSON: {error}")))?;
+    if !value.is_object() {
+        return Err(refused("has to be a JSON object".to_owned()));
+    }
+    let budget = read::<Budget>(value, "target").map_err(in_query)?;
     to_budget(Some(budget), "target", default_samples, &app.config)
 }
 

@@ -6,7 +6,7 @@ use axum::response::{IntoResponse, Response};
 use super::etag;
 use super::extract::ETags;
 use super::problem::{ApiResult, Problem};
-use crate::store::versions::Published;
+use crate::store::versions::{Published, Wanted};
 
 /// Header with the light map's version.
 pub(super) static VERSION: HeaderName = HeaderName::from_static("x-rebake-version");
@@ -46,9 +46,11 @@ impl Versioned {
         Ok(Versioned { about, is_known: known.is_some_and(|tags| tags.matches_weakly(&tag.to_string())) })
     }
 
-    /// States the error of the light that is delivered, where anything is known of it.
-    pub(super) fn state_error(&mut self, published: &Published) -> ApiResult<()> {
-        if let Some(rmse) = published.stated_rmse() {
+    /// States the error of the light that is delivered, where anything is known of it: that of direct or indirect light alone
+    /// is not, unless it is the scene's mode.
+    pub(super) fn state_error(&mut self, published: &Published, wanted: Wanted) -> ApiResult<()> {
+        let is_stated = wanted == Wanted::Error || wanted == Wanted::Light(published.mode());
+        if let Some(rmse) = published.stated_rmse().filter(|_| is_stated) {
             let value = HeaderValue::from_str(&rmse.to_string()).map_err(Problem::internal)?;
             self.about.insert(ESTIMATED_RMSE.clone(), value);
         }
