@@ -9,8 +9,8 @@ pub struct Allowed {
     pub name_chars: usize,
     /// Largest colour, intensity, and product of both: beyond it are mistakes; below it nothing overflows.
     pub brightest: f32,
-    /// Greatest distance from the zero of scene space along an axis, and greatest factor of a transform: products of four
-    /// lengths must stay far from the end of `f32`.
+    /// Greatest extent of a scene in a file, distance from the zero of scene space along an axis, metres, and factor of a
+    /// transform: products of four lengths must stay far from the end of `f32`.
     pub farthest: f64,
     /// Names may hold control characters.
     allows_control: bool,

@@ -155,7 +155,7 @@ pub struct EditError {
 }
 
 impl EditError {
-    /// The same of the `index`-th edit of a list.
+    /// Names the field from the top of a list of edits whose `index`-th was refused: `edits[1].name` for `name`.
     pub(crate) fn in_list(self, index: usize) -> EditError {
         EditError { field: format!("edits[{index}].{}", self.field), ..self }
     }

@@ -102,6 +102,7 @@ impl Rows {
         let value = |&count: &u8| {
             let row = first..first + usize::from(count);
             first = row.end;
+            // They were told by such light, or checked when they were read.
             V::of_told(&self.told[row.clone()], &self.light[row]).unwrap_or_default()
         };
         self.counts.iter().map(value).collect()

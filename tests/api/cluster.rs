@@ -104,7 +104,7 @@ async fn light_of(server: &Server, scene: &Glb) -> [Vec<u8>; 2] {
     light_with(server, scene, "layers=shared").await
 }
 
-/// The same, with layers as `layers` says.
+/// Light as [`light_of`] has it, of a scene that is uploaded with `layers`, a part of the query.
 async fn light_with(server: &Server, scene: &Glb, layers: &str) -> [Vec<u8>; 2] {
     let query = format!("/v1/scenes?spacing=0.3&samples_per_element=96&{layers}");
     let scene = server.post_glb(&query, scene.bytes()).await.json(201);

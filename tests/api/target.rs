@@ -65,13 +65,13 @@ async fn targets_and_edits_at_once_hold_nobody_up() {
         json!({ "op": "move", "object": "cupboard", "transform": transform, "budget": { "samples_per_element": 1 } })
     };
     let edits = async {
-        for k in 0..150 {
+        for k in 0..400 {
             let answer = server.post_json(&format!("{}/edits", path_of(&scene)), &step(k)).await;
             assert!([202, 429].contains(&answer.status.as_u16()), "{}", answer.status);
         }
     };
     let targets = async {
-        for k in 0..150 {
+        for k in 0..400 {
             let target = json!({ "target": { "samples_per_element": 1 + k % 2 } });
             assert_eq!(patch(&server, &scene, &target).await.status, 200);
         }

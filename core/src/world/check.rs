@@ -18,7 +18,7 @@ pub(super) fn invalid(field: &str, reason: &str) -> EditError {
     error(field, reason, EditErrorKind::Invalid)
 }
 
-/// Of an object of a scene whose scene space has its zero at `origin`.
+/// Refuses what cannot be the transform of an object, or leads too far from `origin`, the zero of scene space.
 pub(super) fn check_transform(allowed: Allowed, origin: DVec3, m: &DMat4) -> Result<(), EditError> {
     if !m.is_finite() {
         return Err(invalid("transform", "must hold 16 finite numbers"));

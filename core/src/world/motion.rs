@@ -6,7 +6,7 @@ use super::check::invalid;
 use crate::edit::EditError;
 use crate::scene::{Light, LightKind};
 
-/// Where it may move to says who calls.
+/// Moves a light to a place, which is checked already, or turns it into a direction of any length.
 pub(super) fn move_light(kind: &mut LightKind, to: Option<DVec3>, turn: Option<Vec3>) -> Result<(), EditError> {
     let turn = match turn.map(Vec3::try_normalize) {
         Some(None) => return Err(invalid("direction", "must be finite and not zero")),

@@ -6,6 +6,7 @@ use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::response::{IntoResponse, Response};
 use glam::{DVec3, Vec3};
+use rebake_core::allowed::Allowed;
 use rebake_core::points::{PointOptions, light_at};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -20,9 +21,6 @@ use crate::store::versions::{LightPart, Published};
 
 /// Samples per point where a request does not say.
 const DEFAULT_SAMPLES: u32 = 256;
-
-/// Farthest coordinate, metres.
-const FARTHEST: f64 = 1e9;
 
 /// Points to sample.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
@@ -155,12 +153,8 @@ fn check_points(points: &[[f64; 6]], published: &Published, limits: &Limits) -> 
 
 /// Whether a position is one that numbers can tell, near enough to the scene.
 pub(super) fn check_position(point: DVec3, published: &Published, field: &str) -> ApiResult<()> {
-    let distance = (point - published.world.scene.origin).abs().max_element();
-    if !point.is_finite() || distance > FARTHEST {
-        let reason = format!("its position has to be within {FARTHEST:e} m of the scene");
-        return Err(Problem::field(Kind::InvalidValue, field, reason));
-    }
-    Ok(())
+    let far = |reason: String| Problem::field(Kind::InvalidValue, field, format!("its position {reason}"));
+    Allowed::ASKED.check_place(point, published.world.scene.origin).map_err(far)
 }
 
 fn check_samples(request: &SampleRequest, limits: &Limits) -> ApiResult<u32> {

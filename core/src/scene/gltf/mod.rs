@@ -30,6 +30,7 @@ mod warnings;
 use std::path::Path;
 use std::sync::Arc;
 
+use crate::allowed::Allowed;
 use ::gltf::json;
 use glam::{DMat3, DMat4, DVec3};
 
@@ -119,9 +120,6 @@ pub enum LoadError {
     #[error("{0}")]
     TooLarge(String),
 }
-
-/// Largest extent of a scene, metres: products of four lengths must stay far from the end of `f32`.
-const MAX_EXTENT: f64 = 1e8;
 
 /// Reads a file: a `.glb`, a `.gltf` with all data within its JSON, or a zip archive that holds one of either with its
 /// files. What it is shows in its first bytes.
@@ -294,9 +292,10 @@ fn world_bounds(objects: &[LoadedObject]) -> Result<(DVec3, DVec3), LoadError> {
         (low, high) = (low.min(object_low), high.max(object_high));
         let extent = (high - low).max_element();
         // A far away scene keeps its precision (see `Scene::origin`), a vast one does not.
-        if !extent.is_finite() || extent > MAX_EXTENT {
+        let most = Allowed::ASKED.farthest;
+        if !extent.is_finite() || extent > most {
             return Err(LoadError::Malformed(format!(
-                "object \"{}\": with it the scene spans {extent:.3e} metres; at most {MAX_EXTENT:.0e} are possible",
+                "object \"{}\": with it the scene spans {extent:.3e} metres; at most {most:e} are possible",
                 object.name
             )));
         }
