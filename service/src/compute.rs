@@ -83,27 +83,33 @@ impl Compute {
     /// would wait for itself where that wants the same lock.
     pub(crate) fn spawn_apart(&self, task: impl FnOnce() + Send + 'static) {
         let task = move || {
-            if let Err(panic) = catching(task) {
-                tracing::error!(%panic, "background task");
+            // What it computes it computes itself: outside of all pools rayon has one of its own, of all cores.
+            let alone = ThreadPoolBuilder::new().num_threads(1).use_current_thread().build();
+            if let Err(error) = &alone {
+                tracing::error!(%error, "a background task computes on all cores");
             }
+            logged(task);
         };
         if let Err(error) = std::thread::Builder::new().name("rebake-apart".to_owned()).spawn(task) {
             tracing::error!(%error, "no thread for a background task");
         }
     }
 
-    /// Runs a task that may take seconds on the threads that build, and waits for it. Not from one of a pool.
+    /// Runs a task that may take seconds on the threads that build, and waits for it: from a task that runs apart.
     pub(crate) fn build_here<T: Send>(&self, task: impl FnOnce() -> T + Send) -> T {
         self.builds.install(task)
     }
 
     /// Runs a task that may take seconds; nobody waits for it.
     pub(crate) fn spawn(&self, task: impl FnOnce() + Send + 'static) {
-        self.builds.spawn(move || {
-            if let Err(panic) = catching(task) {
-                tracing::error!(%panic, "background task");
-            }
-        });
+        self.builds.spawn(move || logged(task));
+    }
+}
+
+/// Runs a task that nobody waits for.
+fn logged(task: impl FnOnce()) {
+    if let Err(panic) = catching(task) {
+        tracing::error!(%panic, "background task");
     }
 }
 
