@@ -130,37 +130,33 @@ impl SparseLight {
     /// # Panics
     /// Where they do not ascend, or do not have the length that they should.
     pub fn of_blocks<'a>(slots: usize, blocks: impl IntoIterator<Item = (usize, LightBlock<'a>)>) -> SparseLight {
+        let blocks: Vec<(usize, LightBlock<'a>)> = blocks.into_iter().collect();
+        let is_lit: Vec<bool> = blocks.iter().map(|(_, block)| !is_dark(block.direct)).collect();
+        let lit = is_lit.iter().filter(|is_lit| **is_lit).count();
+        let (all, lit_slots) = (blocks.len() * BLOCK_SLOTS, lit * BLOCK_SLOTS);
         let mut light = SparseLight::black(slots);
-        let (mut next, mut lit) = (0, 0);
-        for (count, (index, block)) in (0..).zip(blocks) {
+        // No more than it takes, at once: what grows is copied, and then twice as large.
+        light.values.direct.reserve_exact(lit_slots.min(slots));
+        light.values.indirect.reserve_exact(all.min(slots));
+        light.values.variance.reserve_exact(all.min(slots));
+        let mut next = 0;
+        for (count, ((index, block), is_lit)) in blocks.iter().zip(&is_lit).enumerate() {
             let len = BLOCK_SLOTS.min(slots - index * BLOCK_SLOTS);
             assert!(block.direct.len() == len && block.indirect.len() == len, "a value per slot");
-            assert!(index >= next, "blocks in their order");
-            light.places[index] = count;
-            light.values.push_bounces(&block);
-            if is_dark(block.direct) {
-                light.lit_places.push(ABSENT);
-            } else {
+            assert!(*index >= next, "blocks in their order");
+            light.places[*index] = count as u32;
+            light.values.push_bounces(block);
+            if *is_lit {
                 light.values.direct.extend_from_slice(block.direct);
-                light.lit_places.push(lit);
-                lit += 1;
             }
             next = index + 1;
         }
-        if light.lit_places.len() == lit as usize {
-            light.lit_places.clear();
+        if lit < blocks.len() {
+            let mut before = 0..;
+            let place = |is_lit: &bool| if *is_lit { before.next().unwrap_or(ABSENT) } else { ABSENT };
+            light.lit_places = is_lit.iter().map(place).collect();
         }
-        light.shrink();
         light
-    }
-
-    /// Gives back what it took to grow.
-    fn shrink(&mut self) {
-        let SparseLight { lit_places, values: LightValues { direct, indirect, variance }, .. } = self;
-        lit_places.shrink_to_fit();
-        direct.shrink_to_fit();
-        indirect.shrink_to_fit();
-        variance.shrink_to_fit();
     }
 
     /// Slots, empty ones included.

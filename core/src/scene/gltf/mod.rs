@@ -30,7 +30,6 @@ mod warnings;
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::allowed::Allowed;
 use ::gltf::json;
 use glam::{DMat3, DMat4, DVec3};
 
@@ -46,6 +45,7 @@ pub use self::pack::packed;
 use self::warnings::Warnings;
 use super::names::UniqueNames;
 use super::{Camera, DEFAULT_MAX_ALBEDO, Object, Scene};
+use crate::allowed::Allowed;
 
 /// Upper bounds on what one file may ask for. Beyond them [`load`] answers [`LoadError::TooLarge`].
 #[derive(Clone, Debug, PartialEq)]
