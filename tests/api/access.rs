@@ -30,7 +30,7 @@ async fn call(server: &Server, method: Method, path: &str, token: Option<&str>) 
     if method == Method::POST {
         request = request.header("content-type", "model/gltf-binary").body(room().bytes());
     }
-    Answer::of(request.send().await.unwrap()).await
+    Answer::to(request).await
 }
 
 #[tokio::test]
@@ -182,7 +182,7 @@ async fn metrics_tell_what_happens() {
     server.get("/v1/scenes/nothing").await;
     server.post_json(&format!("{}/edits", path_of(&scene)), &json!({ "op": "nothing" })).await;
     let open = server.request(Method::GET, "/metrics").header("accept", "application/openmetrics-text; version=1.0.0");
-    let open = Answer::of(open.send().await.unwrap()).await;
+    let open = Answer::to(open).await;
     assert!(open.status == 200 && open.header("content-type").starts_with("application/openmetrics-text"));
     let answer = server.get("/metrics").await;
     assert!(answer.status == 200 && answer.header("content-type").starts_with("text/plain; version=0.0.4"));

@@ -131,7 +131,7 @@ async fn without_tokens_only_own_names_are_answered() {
         if let Some(token) = token {
             request = request.bearer_auth(token);
         }
-        Answer::of(request.send().await.unwrap()).await
+        Answer::to(request).await
     };
     let server = Server::with(|config| config.host_names = vec!["bake.studio".to_owned()]).await;
     for host in ["evil.example", "127.0.0.1.evil.example:80", "10.1.2.3"] {

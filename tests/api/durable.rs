@@ -248,7 +248,7 @@ async fn light_goes_on_alike_after_a_crash() {
         let body = json!({ "target": { "samples_per_element": 24 } }).to_string();
         let request =
             server.request(reqwest::Method::PATCH, &path_of(&scene)).header("content-type", "application/json");
-        let told = Answer::of(request.body(body).send().await.unwrap()).await.json(200);
+        let told = Answer::to(request.body(body)).await.json(200);
         let job = server.end_of(told["current_job"].as_str().unwrap()).await;
         assert_eq!((&job["kind"], &job["progress"]["samples_per_element"]), (&"refine".into(), &24.into()));
         light(server, &scene).await

@@ -222,7 +222,7 @@ async fn bodies_that_are_no_edits_are_refused() {
     let nested = format!("{{\"op\":{}{}}}", "[".repeat(1500), "]".repeat(1500));
     server.post_text(&path, &nested, &[]).await.problem(400, "invalid-json");
     let text = server.request(reqwest::Method::POST, &path).header("content-type", "text/plain").body("{}");
-    Answer::of(text.send().await.unwrap()).await.problem(415, "unsupported-media-type");
+    Answer::to(text).await.problem(415, "unsupported-media-type");
     let many = json!({ "edits": [{}, {}, {}, {}] });
     server.post_json(&path, &many).await.problem(422, "invalid-value");
     server.post_text("/v1/scenes/s9-zzzzzz/edits", "{}", &[]).await.problem(404, "unknown-scene");
@@ -314,7 +314,7 @@ async fn if_match_names_the_accepted_edits_whatever_the_light_does() {
     // Who changes or deletes the scene itself may say how it knows it, too.
     let changed = async |method: reqwest::Method, tag: &str| {
         let request = server.request(method, &path_of(&scene)).header("content-type", "application/json");
-        Answer::of(request.header("if-match", tag).body(r#"{"name":"b"}"#).send().await.unwrap()).await
+        Answer::to(request.header("if-match", tag).body(r#"{"name":"b"}"#)).await
     };
     changed(reqwest::Method::PATCH, "\"0\"").await.problem(412, "precondition-failed");
     assert_eq!(changed(reqwest::Method::PATCH, "\"1\"").await.json(200)["name"], "b");

@@ -18,8 +18,7 @@ async fn paths_methods_and_calls_to_come() {
     server.get("/v1/scenes/%FF").await.problem(400, "bad-request");
     server.get("/v1/scenes/s01-abcdef").await.problem(404, "unknown-scene");
     server.get("/v1/jobs/x").await.problem(404, "unknown-job");
-    let put = server.request(Method::PUT, "/v1/scenes").send().await.unwrap();
-    let put = Answer::of(put).await;
+    let put = Answer::to(server.request(Method::PUT, "/v1/scenes")).await;
     put.problem(405, "method-not-allowed");
     assert!(put.header("allow").contains("POST"), "{put:?}");
     assert_eq!(server.get("/healthz").await.json(200)["status"], "ok");
@@ -64,11 +63,11 @@ async fn uploads_with_bad_queries_and_headers() {
         if !kind.is_empty() {
             request = request.header("content-type", kind);
         }
-        Answer::of(request.send().await.unwrap()).await.problem(415, "unsupported-media-type");
+        Answer::to(request).await.problem(415, "unsupported-media-type");
     }
     let octets = server.request(Method::POST, "/v1/scenes?bake=false").body(room().bytes());
     let octets = octets.header("content-type", "application/octet-stream; charset=binary");
-    Answer::of(octets.send().await.unwrap()).await.json(201);
+    Answer::to(octets).await.json(201);
     server.stop().await;
 }
 
@@ -176,7 +175,7 @@ async fn what_is_too_large_is_refused() {
     let chunks = futures_util::stream::iter((0..20).map(|_| Ok::<_, std::io::Error>(vec![0u8; 10_000])));
     let body = reqwest::Body::wrap_stream(chunks);
     let request = server.request(Method::POST, "/v1/scenes").header("content-type", "model/gltf-binary").body(body);
-    Answer::of(request.send().await.unwrap()).await.problem(413, "payload-too-large");
+    Answer::to(request).await.problem(413, "payload-too-large");
     let mut three = room();
     three.cuboid("third", [2.0, 0.1, 2.0], [2.5, 0.5, 2.5], 0.5, false);
     server.post_glb("/v1/scenes", three.bytes()).await.problem(413, "scene-too-large");

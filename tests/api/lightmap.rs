@@ -19,7 +19,7 @@ async fn a_light_map_comes_in_three_formats() {
         ("", "model/gltf-binary", "model/gltf-binary", b"glTF"),
     ] {
         let request = server.request(Method::GET, &format!("{path}{query}")).header("accept", accept);
-        let answer = Answer::of(request.send().await.unwrap()).await;
+        let answer = Answer::to(request).await;
         assert_eq!(answer.status, 200, "{query} {accept} {answer:?}");
         assert_eq!(answer.header("content-type"), kind);
         assert_eq!(answer.header("etag"), format!("\"{}\"", scene["version"]));
@@ -58,7 +58,7 @@ async fn a_client_that_has_the_version_gets_304() {
             [(tag.clone(), 304), (format!("W/{tag}"), 304), ("*".to_owned(), 304), ("\"999\"".to_owned(), 200)]
         {
             let request = server.request(Method::GET, &path).header("if-none-match", &known);
-            let answer = Answer::of(request.send().await.unwrap()).await;
+            let answer = Answer::to(request).await;
             assert_eq!(answer.status, status, "{path} {known}");
             assert_eq!(answer.header("etag"), tag);
             assert_eq!(answer.body.is_empty(), status == 304);
@@ -76,7 +76,7 @@ async fn compressed_bodies_are_the_same_bodies() {
         let plain = server.get(&path).await.body;
         for coding in ["gzip", "zstd"] {
             let request = server.request(Method::GET, &path).header("accept-encoding", coding);
-            let answer = Answer::of(request.send().await.unwrap()).await;
+            let answer = Answer::to(request).await;
             assert_eq!(answer.header("content-encoding"), coding);
             let unpacked = match coding {
                 "gzip" => {

@@ -15,6 +15,7 @@ mod counted;
 mod crash;
 mod dashboard;
 mod deltas;
+mod described;
 mod directional;
 mod doors;
 mod drag;

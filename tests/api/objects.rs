@@ -163,9 +163,7 @@ async fn the_format_is_chosen_by_query_or_header_and_is_not_sent_twice() {
     let server = Server::start().await;
     let scene = server.room("?bake=false").await;
     let path = format!("{}/objects/cupboard", path_of(&scene));
-    let ask = async |name: &str, value: &str| {
-        Answer::of(server.request(Method::GET, &path).header(name, value).send().await.unwrap()).await
-    };
+    let ask = async |name: &str, value: &str| Answer::to(server.request(Method::GET, &path).header(name, value)).await;
     for (accept, kind) in [
         ("*/*", "model/gltf-binary"),
         ("text/html, application/json;q=0.9", "application/json"),

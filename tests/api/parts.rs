@@ -136,7 +136,7 @@ async fn what_is_not_known_is_never_exact() {
     server.edit(&scene, &moved).await;
     server.client.follow(scene["id"].as_str().unwrap()).reach(4).await.unwrap();
     assert_eq!(unknown(&server, &scene).await, (range(&shown, 1), true));
-    let head = Answer::of(server.request(Method::GET, &path.replace("true", "false")).send().await.unwrap()).await;
+    let head = Answer::to(server.request(Method::GET, &path.replace("true", "false"))).await;
     assert_eq!(head.header("etag"), "\"4\"");
     server.stop().await;
 }

@@ -209,6 +209,6 @@ async fn a_client_that_leaves_takes_its_picture_with_it() {
     let progressive = server.request(Method::GET, &format!("{large}&progressive=true")).send().await.unwrap();
     drop(progressive);
     let small = server.request(Method::GET, &format!("{path}?width=8&height=8")).timeout(PATIENCE);
-    assert_eq!(Answer::of(small.send().await.unwrap()).await.status, 200);
+    assert_eq!(Answer::to(small).await.status, 200);
     server.stop().await;
 }

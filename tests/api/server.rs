@@ -5,11 +5,12 @@ use std::time::Duration;
 use rebake::Config;
 use rebake::client::{Client, EventStream};
 use rebake::cluster::{ClusterConfig, replicate};
-use reqwest::{Method, RequestBuilder, Response, StatusCode};
+use reqwest::{Method, RequestBuilder, StatusCode};
 use serde_json::Value;
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 
+use super::described;
 use super::engine::{Script, Scripted, Step};
 use super::glb;
 
@@ -34,8 +35,14 @@ pub(crate) struct Answer {
 }
 
 impl Answer {
-    pub(crate) async fn of(response: Response) -> Answer {
+    /// Sends the request. The description has to tell of the answer's status.
+    pub(crate) async fn to(request: RequestBuilder) -> Answer {
+        let (http, request) = request.build_split();
+        let request = request.unwrap();
+        let (method, path) = (request.method().clone(), request.url().path().to_owned());
+        let response = http.execute(request).await.unwrap();
         let (status, headers) = (response.status(), response.headers().clone());
+        described::check(&method, &path, status);
         Answer { status, headers, body: response.bytes().await.unwrap().to_vec() }
     }
 
@@ -143,16 +150,16 @@ impl Server {
     }
 
     pub(crate) async fn get(&self, path: &str) -> Answer {
-        Answer::of(self.request(Method::GET, path).send().await.unwrap()).await
+        Answer::to(self.request(Method::GET, path)).await
     }
 
     pub(crate) async fn delete(&self, path: &str) -> Answer {
-        Answer::of(self.request(Method::DELETE, path).send().await.unwrap()).await
+        Answer::to(self.request(Method::DELETE, path)).await
     }
 
     pub(crate) async fn post_glb(&self, path: &str, glb: Vec<u8>) -> Answer {
         let request = self.request(Method::POST, path).header("content-type", "model/gltf-binary").body(glb);
-        Answer::of(request.send().await.unwrap()).await
+        Answer::to(request).await
     }
 
     pub(crate) async fn post_json(&self, path: &str, body: &Value) -> Answer {
@@ -164,7 +171,7 @@ impl Server {
         for (name, value) in headers {
             request = request.header(*name, *value);
         }
-        Answer::of(request.body(body.to_owned()).send().await.unwrap()).await
+        Answer::to(request.body(body.to_owned())).await
     }
 
     /// Uploads the room; `query` begins with `?` or is empty. Coarse, so that everything is quick.

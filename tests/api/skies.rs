@@ -35,7 +35,7 @@ fn grey() -> Vec<u8> {
 
 async fn post(server: &Server, kind: &str, file: Vec<u8>) -> Answer {
     let request = server.request(reqwest::Method::POST, "/v1/assets").header("content-type", kind).body(file);
-    Answer::of(request.send().await.unwrap()).await
+    Answer::to(request).await
 }
 
 async fn picture(server: &Server, kind: &str, file: Vec<u8>) -> String {

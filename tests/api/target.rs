@@ -13,7 +13,7 @@ fn dim(intensity: f64) -> Value {
 
 async fn patch(server: &Server, scene: &Value, body: &Value) -> Answer {
     let request = server.request(reqwest::Method::PATCH, &path_of(scene)).header("content-type", "application/json");
-    Answer::of(request.body(body.to_string()).send().await.unwrap()).await
+    Answer::to(request.body(body.to_string())).await
 }
 
 async fn job(server: &Server, id: &str) -> Value {

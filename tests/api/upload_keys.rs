@@ -10,7 +10,7 @@ use super::server::{Answer, Server, path_of};
 
 async fn post(server: &Server, path: &str, file: Vec<u8>, key: &str) -> Answer {
     let request = server.request(Method::POST, path).header("content-type", "model/gltf-binary");
-    Answer::of(request.header("idempotency-key", key).body(file).send().await.unwrap()).await
+    Answer::to(request.header("idempotency-key", key).body(file)).await
 }
 
 async fn scenes(server: &Server) -> usize {

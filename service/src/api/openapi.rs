@@ -71,10 +71,10 @@ fn problems_of(operation: &str) -> &'static [Kind] {
     use Kind::{
         AssetNeeded, AssetNotFound, EditTooLarge, InvalidJson, InvalidQuery, InvalidValue, JobEnded, KeyReused,
         MalformedFile, NameTaken, NoMemory, NotFound, NothingToTurn, ObjectNotFound, PayloadTooLarge,
-        PreconditionFailed, QueueFull, Restoring, SceneDamaged, SceneTooLarge, ShuttingDown, Storage, Timeout,
-        TooManyAnswers, TooManyAssets, TooManyScenes, TooManyStreams, TooManyUploads, UnknownAsset, UnknownCamera,
-        UnknownJob, UnknownLight, UnknownMaterial, UnknownObject, UnknownScene, UnknownVersion, UnsupportedFile,
-        UnsupportedMediaType, VersionAhead, VersionForgotten,
+        PreconditionFailed, QueueFull, Restoring, SceneDamaged, SceneGone, SceneTooLarge, ShuttingDown, Storage,
+        Timeout, TooManyAnswers, TooManyAssets, TooManyScenes, TooManyStreams, TooManyUploads, UnknownAsset,
+        UnknownCamera, UnknownJob, UnknownLight, UnknownMaterial, UnknownObject, UnknownScene, UnknownVersion,
+        UnsupportedFile, UnsupportedMediaType, VersionAhead, VersionForgotten,
     };
     match operation {
         "create_scene" => &[
@@ -82,6 +82,7 @@ fn problems_of(operation: &str) -> &'static [Kind] {
             MalformedFile,
             Timeout,
             NameTaken,
+            SceneGone,
             UnknownLight,
             TooManyScenes,
             NoMemory,
@@ -139,13 +140,14 @@ fn problems_of(operation: &str) -> &'static [Kind] {
             UnknownScene,
             SceneDamaged,
             Timeout,
+            PreconditionFailed,
             PayloadTooLarge,
             UnsupportedMediaType,
             InvalidValue,
             ShuttingDown,
             Storage,
         ],
-        "delete_scene" => &[UnknownScene, Storage],
+        "delete_scene" => &[UnknownScene, PreconditionFailed, Storage],
         "delete_asset" => &[AssetNotFound, AssetNeeded, ShuttingDown, Storage],
         "get_job" => &[UnknownJob],
         "cancel_job" | "pause_job" | "resume_job" => &[UnknownJob, JobEnded, Storage],
