@@ -232,15 +232,14 @@ impl<V: Value> Sums<'_, V> {
         let (mut added, mut all) = (0.0, 0.0);
         for (k, (direct, indirect)) in direct.iter().zip(indirect).enumerate() {
             let (mean_direct, mean_indirect) = (&mut self.direct[k], &mut self.indirect[k]);
-            let (direct, indirect) = (*direct - *mean_direct, *indirect - *mean_indirect);
-            *mean_direct += direct * round.part;
-            *mean_indirect += indirect * round.part;
-            let light = round.stated.of(direct, indirect);
-            let whole = square(light.weighted(round.weights));
+            let (light, mean) = (round.stated.of(*direct, *indirect), round.stated.of(*mean_direct, *mean_indirect));
+            mean_direct.approach(direct, round.part);
+            mean_indirect.approach(indirect, round.part);
+            let whole = square(light.weighted(round.weights) - mean.weighted(round.weights));
             self.squares[k] += whole;
             added += f64::from(whole);
             all += f64::from(self.squares[k]);
-            self.layer_squares[k] += light.squares(round.factor);
+            self.layer_squares[k] += light.squared_difference(&mean, round.factor);
         }
         (added, all)
     }

@@ -15,7 +15,7 @@ use crate::random::subseed;
 use crate::rounds::{Estimator, Goal, Need, Phase, Round};
 use crate::solve::{Exchange, Paths, Rows, Solvable, Subset};
 use crate::transport::direct::direct_at;
-use crate::transport::{Effort, Field, Hint, Work, blacken, for_slots, gathered};
+use crate::transport::{Effort, Field, Hint, Work, for_slots, gathered};
 use crate::value::with_layers;
 use crate::world::World;
 
@@ -263,20 +263,23 @@ impl Baker {
         let (exchange, bounces) = self.solve(direct, hint, round, work)?;
         let sum = direct.par_iter().zip(&bounces).with_min_len(CHUNK);
         let total: Vec<V> = sum.map(|(d, b)| *d + *b).collect();
-        let field = Field { total: &total, direct, rough: &hint.rough };
+        let field = Field { total: &total, indirect: &bounces, rough: &hint.rough };
         let source = field.source(world, hint.spots.as_ref());
         (round.begin)(Pass::FinalGather, 0.4..1.0);
         work.add(wanted, indirect, gathered(world, &source, round.samples, effort, round.part_seed()))?;
         drop(source);
         // The gather is better than the solution that it looked up: at all elements, not on a subset. What it found
         // anew has bounces of its own.
-        let mut residual = total;
-        blacken(&mut residual, world.slots());
-        for_slots(wanted, &mut residual, |slot, r| *r = indirect[slot as usize] - bounces[slot as usize]);
+        drop(total);
+        let mut residual = vec![V::Change::default(); world.slots()];
+        for_slots(wanted, &mut residual, |slot, r| {
+            *r = indirect[slot as usize].change_from(&bounces[slot as usize]);
+        });
         world.validity.fill(&mut residual);
         let missing = exchange.to_representatives(&self.subset, &exchange.further_bounces(&residual));
-        for_slots(&self.slots, indirect, |slot, light| *light = bounces[slot as usize] + residual[slot as usize]);
-        self.subset.add_where(|slot| world.is_computed(slot as usize), &missing, indirect);
+        for_slots(&self.all_but(wanted), indirect, |slot, light| *light = bounces[slot as usize]);
+        let is_computed = |slot: u32| world.is_computed(slot as usize);
+        self.subset.interpolate_where(is_computed, &missing, indirect, V::add_change);
         Ok(())
     }
 
@@ -289,13 +292,21 @@ impl Baker {
         work: &Work,
     ) -> Result<(Exchange<V>, Vec<V>), Canceled> {
         let world = &self.world;
-        let field = Field { total: direct, direct, rough: &hint.rough };
+        let field = Field { total: direct, indirect: &[], rough: &hint.rough };
         let source = field.source(world, hint.spots.as_ref());
         let samples = round.samples.clamp(SOLVE_SAMPLES.0, SOLVE_SAMPLES.1);
         let seed = round.part_seed().of(0x50);
         let exchange = Exchange::trace(world, &self.subset, &self.rows, &source, Paths::Each(samples), seed, work)?;
         let bounces = self.spread(&exchange, &exchange.all_bounces(&exchange.first));
         Ok((exchange, bounces))
+    }
+
+    /// Slots that are computed, without some of them; both ascending.
+    fn all_but(&self, wanted: &[u32]) -> Vec<u32> {
+        if wanted.len() == self.slots.len() {
+            return Vec::new();
+        }
+        self.slots.iter().copied().filter(|slot| wanted.binary_search(slot).is_err()).collect()
     }
 
     fn spread<V: Solvable>(&self, exchange: &Exchange<V>, values: &[V]) -> Vec<V> {

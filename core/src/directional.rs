@@ -67,7 +67,7 @@ pub fn directional(
     assert_eq!(map.len(), world.slots(), "a light map has one value per slot");
     let total: Vec<Vec3> = (0..map.len()).map(|slot| map.total(slot)).collect();
     let rough = Rough::new(world, |slot| map.light.direct[slot as usize].element_sum());
-    let field = Field { total: &total, direct: &map.light.direct, rough: &rough };
+    let field = Field { total: &total, indirect: &map.light.indirect, rough: &rough };
     let (slots, shares) = (world.computed_slots(), shares(options.samples.max(2)));
     let lights = shares.map(|count| DirectLight::new(world, count));
     let seed = subseed(options.seed, 0xd1c);

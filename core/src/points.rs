@@ -62,7 +62,7 @@ pub fn light_at(
     } else {
         Rough::default()
     };
-    let field = Field { total: &total, direct: &map.light.direct, rough: &rough };
+    let field = Field { total: &total, indirect: &map.light.indirect, rough: &rough };
     let samples = options.samples.max(2);
     let shares = shares(samples);
     let one = |(index, (point, n)): (usize, &(DVec3, Vec3))| {

@@ -16,6 +16,12 @@ pub fn mix(mut z: u64) -> u64 {
     z ^ (z >> 31)
 }
 
+/// Uniform in [0, 1), of 64 bits.
+#[inline]
+pub(crate) fn unit(bits: u64) -> f32 {
+    (bits >> 40) as f32 * (1.0 / 16_777_216.0)
+}
+
 /// A seed derived from a seed and a label: independent streams for passes and rounds.
 #[inline]
 pub fn subseed(seed: u64, label: u64) -> u64 {

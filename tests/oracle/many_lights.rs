@@ -71,6 +71,51 @@ fn check_mean(name: &str, world: &World, maps: &[Arc<LightMap>], bias: f64) {
     assert_agrees(name, of(world, maps), truth.mean, bias * truth.mean + 5.0 * truth.error);
 }
 
+/// A hall with a lamp over every metre and a half, all of which light all of it; the first is dim.
+fn hall() -> World {
+    let walls = Mesh::cuboid(Vec3::ZERO, Vec3::new(9.0, 3.0, 9.0)).inside_out();
+    let plain = world_of(Scene::from_objects(vec![Object::new("hall", walls, Material::diffuse(Vec3::splat(0.6)))]));
+    let bulb = |k: u32| {
+        let position = DVec3::new(0.75 + 1.5 * f64::from(k % 6), 2.4, 0.75 + 1.5 * f64::from(k / 6));
+        let (kind, color) = (LightKind::Point { position, range: None }, Vec3::new(1.0, 0.8, 0.6));
+        Edit::InsertLight { name: format!("bulb {k}"), kind, color, intensity: if k == 0 { 0.2 } else { 3.0 } }
+    };
+    let lit = plain.apply(&(0..36).map(bulb).collect::<Vec<_>>()).expect("bulbs").after;
+    lit.apply(&each_lamp(&lit.scene)).expect("groups").after
+}
+
+#[test]
+fn lamps_that_all_light_one_hall_are_relit_right() {
+    let world = hall();
+    let maps: Vec<Arc<LightMap>> = (0..8).map(|seed| baked(&world, 64, seed)).collect();
+    for map in &maps {
+        let rest = map.rest().expect("more layers than fit side by side");
+        let square = |slot: usize| (rest.light.at(slot).0 + rest.light.at(slot).1).as_dvec3().powf(2.0);
+        let size = area_mean(&world, |_| true, square).sqrt();
+        assert!(size < 0.005 * mean_total(&world, map), "all is some lamp's, but for {size}");
+    }
+    // The dim one is not told apart where it matters least.
+    for (name, to, bias) in
+        [("bulb 0", 3.0, 0.004), ("bulb 0", 20.0, 0.03), ("bulb 14", 0.0, 0.001), ("bulb 14", 9.0, 0.003)]
+    {
+        let transition = world.apply(&[relit([&name.to_owned()], to)]).expect("a relight");
+        let count = Count::default();
+        let relight = |(map, seed): (&Arc<LightMap>, u64)| {
+            update(&transition, map, &budget(64), None, seed, &count).expect("nobody cancels")
+        };
+        let relit: Vec<Arc<LightMap>> = maps.iter().zip(0..).map(relight).collect();
+        assert_eq!(count.rays.load(Ordering::Relaxed), 0);
+        relit.iter().for_each(|map| check_sum(&transition.after, map));
+        check_mean(&format!("{name} to {to}"), &transition.after, &relit, bias);
+        let truth = baked(&ungrouped(&transition.after), 1024, 9);
+        let square = |map: &LightMap, slot: usize| (map.total(slot) - truth.total(slot)).as_dvec3().powf(2.0);
+        let squares = relit.iter().map(|map| area_mean(&world, |_| true, |slot| square(map, slot)));
+        let off = (squares.sum::<f64>() / 8.0).sqrt();
+        let stated = relit.iter().map(|map| f64::from(map.estimated_rmse(world.areas()))).sum::<f64>() / 8.0;
+        assert!(off < 1.5 * stated && stated < 2.0 * off, "{name} to {to}: off by {off}, stated {stated}");
+    }
+}
+
 /// Mean of what is left to no lamp.
 fn mean_rest(world: &World, map: &LightMap, which: impl Fn(usize) -> bool) -> f64 {
     let rest = map.rest().expect("more layers than fit side by side");

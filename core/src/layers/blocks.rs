@@ -6,7 +6,13 @@ use rayon::prelude::*;
 
 use super::Stack;
 use crate::lightmap::{BLOCK_SLOTS, LightValues, SparseLight, blocks_of};
-use crate::value::{LEAST_TOLD, Scalars, Value};
+use crate::value::{Scalars, Value};
+
+/// A layer with less than this part of all light in a block is not told apart there.
+const LEAST_TOLD: f32 = 4e-3;
+
+/// Unless it has more than this part at one of its slots.
+const LEAST_AT_SLOT: f32 = 8.0 * LEAST_TOLD;
 
 /// Layers where they matter; where they do not, their light is left to the first.
 pub(super) fn where_they_matter<V: Value>(stack: &Stack<V>, layers: usize) -> Vec<SparseLight> {
@@ -27,6 +33,18 @@ pub(super) fn where_they_matter<V: Value>(stack: &Stack<V>, layers: usize) -> Ve
     (0..layers).into_par_iter().map(layer).collect()
 }
 
+/// Whether a layer is told apart in a block: the size of its light and of all light, slot by slot.
+pub(super) fn matters(sizes: impl Iterator<Item = (f32, f32)>) -> bool {
+    let (mut own, mut all) = (0.0, 0.0);
+    for (size, whole) in sizes {
+        if size > LEAST_AT_SLOT * whole {
+            return true;
+        }
+        (own, all) = (own + size, all + whole);
+    }
+    own > LEAST_TOLD * all
+}
+
 /// Layers that matter in a block, ascending, with their light; the first is always there.
 fn block_apart<V: Value>(stack: &Stack<V>, slots: Range<usize>, layers: usize) -> Vec<(usize, LightValues)> {
     let mut block = Block { slots: slots.len(), places: vec![u16::MAX; layers], found: Vec::new() };
@@ -36,7 +54,8 @@ fn block_apart<V: Value>(stack: &Stack<V>, slots: Range<usize>, layers: usize) -
         stack.light.indirect[slot].for_layers(|layer, light| block.at(layer).indirect[k] += light);
     }
     for (k, slot) in slots.enumerate() {
-        stack.layer_variance[slot].for_layers(|layer, variance| block.at(layer).variance[k] += variance);
+        // That of the first is what merging has left: rounding may leave less than nothing.
+        stack.layer_variance[slot].for_layers(|layer, variance| block.at(layer).variance[k] += variance.max(0.0));
     }
     block.where_they_matter()
 }
@@ -63,13 +82,12 @@ impl Block {
     fn where_they_matter(self) -> Vec<(usize, LightValues)> {
         let size =
             |light: &LightValues, k: usize| light.direct[k].abs().max_element() + light.indirect[k].abs().max_element();
-        let least: Vec<f32> = (0..self.slots)
-            .map(|k| LEAST_TOLD * self.found.iter().map(|(_, light)| size(light, k)).sum::<f32>())
-            .collect();
-        let matters = |(layer, light): &(usize, LightValues)| {
-            *layer == 0 || least.iter().enumerate().any(|(k, least)| size(light, k) > *least)
+        let sizes: Vec<f32> =
+            (0..self.slots).map(|k| self.found.iter().map(|(_, light)| size(light, k)).sum()).collect();
+        let is_told = |(layer, light): &(usize, LightValues)| {
+            *layer == 0 || matters(sizes.iter().enumerate().map(|(k, whole)| (size(light, k), *whole)))
         };
-        let (mut kept, others): (Vec<_>, Vec<_>) = self.found.into_iter().partition(matters);
+        let (mut kept, others): (Vec<_>, Vec<_>) = self.found.into_iter().partition(is_told);
         kept.sort_unstable_by_key(|(layer, _)| *layer);
         let rest = &mut kept[0].1;
         for (_, light) in others {

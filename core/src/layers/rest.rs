@@ -9,12 +9,12 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::blocks::matters;
 use super::{
     BLOCK_SLOTS, Layer, LayerHeader, LightBlock, LightValues, SparseLight, blocks_of, weight_of, weights_of_layers,
 };
 use crate::lightmap::LightMap;
 use crate::scene::Scene;
-use crate::value::LEAST_TOLD;
 
 /// Blocks per task.
 const BLOCKS: usize = 64;
@@ -182,13 +182,13 @@ fn size_of_slot(block: &LightBlock, slot: usize, weight: Vec3) -> f32 {
 /// per slot: what it weighs of that is added to `rest`.
 pub(crate) fn thin(layer: &Arc<Layer>, scene: &Scene, sizes: &[f32], rest: &mut LightValues) -> Arc<Layer> {
     let weight = weight_of(&layer.lights, scene).unwrap_or(Vec3::ONE);
-    let matters = |index: usize, block: &LightBlock| {
+    let is_told = |index: usize, block: &LightBlock| {
         let sizes = &sizes[index * BLOCK_SLOTS..][..block.direct.len()];
-        sizes.iter().enumerate().any(|(k, size)| size_of_slot(block, k, Vec3::ONE) > LEAST_TOLD * size)
+        matters(sizes.iter().enumerate().map(|(k, whole)| (size_of_slot(block, k, Vec3::ONE), *whole)))
     };
     let kept: Vec<bool> = (0..blocks_of(layer.light.len()))
         .into_par_iter()
-        .map(|index| layer.light.block(index).is_some_and(|block| matters(index, &block)))
+        .map(|index| layer.light.block(index).is_some_and(|block| is_told(index, &block)))
         .collect();
     let square = weight.length_squared() / 3.0;
     for (index, block) in layer.light.blocks().filter(|(index, _)| !kept[*index]) {

@@ -66,7 +66,7 @@ pub fn probes_at(
     assert_eq!(map.len(), world.slots(), "a light map has one value per slot");
     let total: Vec<Vec3> = (0..map.len()).into_par_iter().map(|slot| map.total(slot)).collect();
     let rough = Rough::new(world, |slot| map.light.direct[slot as usize].element_sum());
-    let field = Field { total: &total, direct: &map.light.direct, rough: &rough };
+    let field = Field { total: &total, indirect: &map.light.indirect, rough: &rough };
     let shares = shares(options.samples.max(2));
     let lights = shares.map(|count| DirectLight::new(world, count));
     let one = |(index, point): (usize, &DVec3)| {

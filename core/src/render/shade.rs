@@ -147,7 +147,7 @@ impl<'a> Shading<'a> {
             return footprint.interpolate(&self.indirect);
         }
         let rough = Rough::default();
-        let field = Field { total: &self.totals, direct: &self.totals, rough: &rough };
+        let field = Field { total: &self.totals, indirect: &[], rough: &rough };
         let from = (surfel.ray_origin(), surfel.normal);
         let direction = cosine_hemisphere(surfel.normal, rng.next_2d());
         let (mut light, rays, source) = (Vec3::ZERO, &mut 0, field.source(self.world, None));

@@ -22,19 +22,48 @@ const CHUNK: usize = 1024;
 
 /// Light whose bounces can be had from a sampled matrix.
 pub(crate) trait Solvable: Value {
+    /// A difference of light, of both signs.
+    type Change: Solvable;
+
     /// `X = u + T̂ X`, per row, where `first` is u.
     fn all_bounces(matrix: &Matrix, first: &[Self]) -> Vec<Self>;
+
+    /// This light less other light.
+    fn change_from(&self, other: &Self) -> Self::Change;
+
+    /// Adds a change.
+    fn add_change(&mut self, change: &Self::Change);
 }
 
 impl Solvable for Vec3 {
+    type Change = Self;
+
     fn all_bounces(matrix: &Matrix, first: &[Vec3]) -> Vec<Vec3> {
         in_lockstep(matrix, first)
+    }
+
+    fn change_from(&self, other: &Self) -> Self {
+        *self - *other
+    }
+
+    fn add_change(&mut self, change: &Self) {
+        *self += *change;
     }
 }
 
 impl<const K: usize> Solvable for Layered<K> {
+    type Change = Self;
+
     fn all_bounces(matrix: &Matrix, first: &[Self]) -> Vec<Self> {
         in_lockstep(matrix, first)
+    }
+
+    fn change_from(&self, other: &Self) -> Self {
+        *self - *other
+    }
+
+    fn add_change(&mut self, change: &Self) {
+        *self += *change;
     }
 }
 
@@ -43,6 +72,9 @@ fn in_lockstep<V: Lockstep>(matrix: &Matrix, first: &[V]) -> Vec<V> {
 }
 
 impl Solvable for Few<Vec3> {
+    /// Of all light together: layers of both signs cannot be merged, and which are told apart differs from place to place.
+    type Change = Vec3;
+
     /// All light together is solved for. Its layers are followed bounce by bounce, since what is told apart at one place is
     /// not at another and the equation holds for none of them alone; the last bounces, that are missing then, are shared
     /// out as the others are.
@@ -62,6 +94,15 @@ impl Solvable for Few<Vec3> {
         }
         found.par_iter_mut().zip(&whole).with_min_len(CHUNK).for_each(|(found, whole)| *found = found.of_total(*whole));
         found
+    }
+
+    fn change_from(&self, other: &Self) -> Vec3 {
+        self.total() - other.total()
+    }
+
+    /// It is shared out as the size of the layers is.
+    fn add_change(&mut self, change: &Vec3) {
+        *self = self.of_total(self.total() + *change);
     }
 }
 

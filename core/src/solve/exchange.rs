@@ -149,8 +149,8 @@ impl<V: Value> Exchange<V> {
     }
 
     /// Values of rows at all representatives; zero at those that are no rows.
-    pub(crate) fn to_representatives(&self, subset: &Subset, values: &[V]) -> Vec<V> {
-        let mut out = vec![V::default(); subset.slots.len()];
+    pub(crate) fn to_representatives<C: Value>(&self, subset: &Subset, values: &[C]) -> Vec<C> {
+        let mut out = vec![C::default(); subset.slots.len()];
         for (row, value) in values.iter().enumerate() {
             self.matrix.rows.members_of(row).iter().for_each(|&member| out[member as usize] = *value);
         }
@@ -167,9 +167,8 @@ impl<V: Solvable> Exchange<V> {
     /// What is missing where a better gather of the same light differs from the solution by `residual`, per element
     /// slot: `Σ_{j ≥ 1} Tʲ r`. Its first bounce is gathered at full resolution: the solution, interpolated from its
     /// representatives, is off where there are none, in corners above all.
-    pub(crate) fn further_bounces(&self, residual: &[V]) -> Vec<V> {
-        let first = self.matrix.mean_of_rows(|e| e.element, residual);
-        self.all_bounces(&first)
+    pub(crate) fn further_bounces<C: Solvable>(&self, residual: &[C]) -> Vec<C> {
+        C::all_bounces(&self.matrix, &self.matrix.mean_of_rows(|e| e.element, residual))
     }
 }
 

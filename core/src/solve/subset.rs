@@ -122,8 +122,19 @@ impl Subset {
 
     /// Values at the representatives carried to the slots that are wanted, and added to `out` there.
     pub(crate) fn add_where<V: Value>(&self, is_wanted: impl Fn(u32) -> bool + Sync, values: &[V], out: &mut [V]) {
+        self.interpolate_where(is_wanted, values, out, |out, value| *out += *value);
+    }
+
+    /// Values at the representatives carried to the slots that are wanted, and added there by `add`.
+    pub(crate) fn interpolate_where<V: Value, W: Send>(
+        &self,
+        is_wanted: impl Fn(u32) -> bool + Sync,
+        values: &[V],
+        out: &mut [W],
+        add: impl Fn(&mut W, &V) + Sync,
+    ) {
         for side in &self.sides {
-            side.add_where(&is_wanted, values, &mut out[side.first_slot as usize..]);
+            side.interpolate_where(&is_wanted, values, &mut out[side.first_slot as usize..], &add);
         }
     }
 
@@ -214,7 +225,13 @@ impl Side {
     }
 
     /// Adds the values of its elements to the beginning of `out`.
-    fn add_where<V: Value>(&self, is_wanted: &(impl Fn(u32) -> bool + Sync), values: &[V], out: &mut [V]) {
+    fn interpolate_where<V: Value, W: Send>(
+        &self,
+        is_wanted: &(impl Fn(u32) -> bool + Sync),
+        values: &[V],
+        out: &mut [W],
+        add: &(impl Fn(&mut W, &V) + Sync),
+    ) {
         if values[self.members.clone()].iter().all(|value| *value == V::default()) {
             return;
         }
@@ -230,10 +247,10 @@ impl Side {
                 weight += w;
             }
             if weight > 0.0 {
-                *out += sum / weight;
+                add(out, &(sum / weight));
             }
         });
         let alone = self.alone.iter().filter(|(element, _)| is_wanted(*element));
-        alone.for_each(|&(element, i)| out[element as usize] += values[i as usize]);
+        alone.for_each(|&(element, i)| add(&mut out[element as usize], &values[i as usize]));
     }
 }

@@ -261,7 +261,7 @@ mod tests {
     /// Mean and variance of the mean of what arrives at a slot, from batches of `samples` directions.
     fn arriving(world: &World, light: &[Vec3], spots: Option<&Spots>, slot: u32, samples: u32) -> (f64, f64) {
         let rough = Rough::default();
-        let field = Field { total: light, direct: light, rough: &rough };
+        let field = Field { total: light, indirect: &[], rough: &rough };
         let source = field.source(world, spots);
         let from = world.ray_origin(slot as usize);
         let batch = |k: u64| {

@@ -103,8 +103,8 @@ pub(crate) fn is_near(world: &World, footprint: &Footprint, distance2: f32) -> b
 pub(crate) struct Field<'a, V> {
     /// All light: of most look-ups it is all that is read.
     pub total: &'a [V],
-    /// What of it comes straight from lights.
-    pub direct: &'a [V],
+    /// What of it does not come straight from lights; empty where all does.
+    pub indirect: &'a [V],
     /// Where the direct light must not be looked up.
     pub rough: &'a Rough,
 }
@@ -164,12 +164,15 @@ impl<V: Value> Field<'_, V> {
             *light += light_at::<V>(world, surfel, rng, rays) * share;
             return;
         };
-        footprint.for_each(self.total, |value, weight| light.add_scaled(value, share * weight));
-        if self.rough.contains(surfel.cell) {
-            footprint.for_each(self.direct, |value, weight| light.add_scaled(value, -share * weight));
-            let sampled = light_at::<V>(world, surfel, rng, rays) + sky_at::<V>(world, surfel, rng, rays);
-            *light += sampled * share;
+        if !self.rough.contains(surfel.cell) {
+            footprint.for_each(self.total, |value, weight| light.add_scaled(value, share * weight));
+            return;
         }
+        if !self.indirect.is_empty() {
+            footprint.for_each(self.indirect, |value, weight| light.add_scaled(value, share * weight));
+        }
+        let sampled = light_at::<V>(world, surfel, rng, rays) + sky_at::<V>(world, surfel, rng, rays);
+        *light += sampled * share;
     }
 
     /// Reflected light and the sky. What lights send straight to a point is not in it.

@@ -52,7 +52,7 @@ impl<V: Solvable> Updater<'_, V> {
             }
         }
         let rough = Rough::default();
-        let light = Field { total: &field, direct: &field, rough: &rough };
+        let light = Field { total: &field, indirect: &[], rough: &rough };
         let gathered =
             gather(world, &light.source(world, spots), slots, samples, &nominal, subseed(round.seed, 0x0b), work)?;
         slots.iter().zip(gathered).for_each(|(&slot, i)| indirect[slot as usize] = i);
@@ -66,7 +66,7 @@ impl<V: Solvable> Updater<'_, V> {
         let is_new = self.new_flags();
         let rows = Arc::new(Rows::only(&self.subset, |slot| is_new[slot as usize]));
         let rough = Rough::default();
-        let light = Field { total: field, direct: field, rough: &rough };
+        let light = Field { total: field, indirect: &[], rough: &rough };
         let seed = PartSeed::whole(subseed(seed, 0x5e1f));
         let exchange = Exchange::trace(
             world,

@@ -10,7 +10,7 @@ use std::ops::{Add, AddAssign, Div, Mul, Sub, SubAssign};
 use glam::{DVec3, Vec3};
 
 pub(crate) use dense::Layered;
-pub(crate) use few::{Few, LEAST_TOLD};
+pub(crate) use few::Few;
 
 pub(crate) use crate::lightmap::SIDE_BY_SIDE;
 
@@ -53,7 +53,7 @@ pub(crate) trait Value: Linear + SubAssign + Mul<Vec3, Output = Self> + Sum {
     /// A number per layer, such as a variance; nothing where there is one layer only.
     type Scalars: Scalars;
 
-    /// Where layers matter little, their light is in the first one, which stands for what is left of all.
+    /// Where there are too many layers, chance decides which are told apart; the first makes all together right.
     const IS_FEW: bool = false;
 
     /// Light of one layer.
@@ -77,6 +77,12 @@ pub(crate) trait Value: Linear + SubAssign + Mul<Vec3, Output = Self> + Sum {
         *self += *other * by;
     }
 
+    /// Moves towards other light by a part of the way, from 0 to 1.
+    #[inline]
+    fn approach(&mut self, other: &Self, part: f32) {
+        *self += (*other - *self) * part;
+    }
+
     /// A layer's light.
     fn layer(&self, layer: usize) -> Vec3;
 
@@ -86,7 +92,13 @@ pub(crate) trait Value: Linear + SubAssign + Mul<Vec3, Output = Self> + Sum {
     /// `factor` times the square of the light of each layer, mean over RGB.
     fn squares(&self, factor: f32) -> Self::Scalars;
 
-    /// Light of layers that matter little here is left to the first one, where there is such a thing.
+    /// `factor` times the square of the difference of each layer, mean over RGB.
+    #[inline]
+    fn squared_difference(&self, other: &Self, factor: f32) -> Self::Scalars {
+        (*self - *other).squares(factor)
+    }
+
+    /// Layers that matter little here are merged, where there is such a thing.
     #[inline]
     fn thinned(self) -> Self {
         self

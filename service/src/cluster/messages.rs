@@ -10,7 +10,7 @@ use rebake_core::{LayerHeader, PartSpec};
 use serde::{Deserialize, Serialize};
 
 /// Raised with every change of these messages or of what they name. Machines of other formats leave each other alone.
-pub(super) const FORMAT: u32 = 2;
+pub(super) const FORMAT: u32 = 3;
 
 /// The work queue, and the consumer that all workers share.
 const STREAM: &str = "rebake-parts";
