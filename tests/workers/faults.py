@@ -1,7 +1,10 @@
 #!/usr/bin/env python3
 """Kills workers, the broker and the service at random while scenes are edited, and holds the light maps against one process.
 
-    python3 tests/workers/faults.py PATH/TO/rebake [--kill worker,broker,service] [--minutes 10] [--scenes 10] [--workers 2]
+    python3 tests/workers/faults.py PATH/TO/rebake [--kill worker,broker,service] [--minutes 10] [--scenes 10] [--workers 2] [--s3]
+
+With --s3 files are shared in an S3 server, which is never killed, in place of a folder: moto's (PyPI: moto[server]), and a build with
+the feature s3.
 
 Needs nats-server, and httpx and numpy (the Python client's). Scenes are the demo's room; each is edited by a client of its own,
 which waits for the light of one step before it asks for the next, and now and then bakes another scene beside it, for workers to
@@ -11,6 +14,7 @@ of an edited scene differs in one bit. Scenes that are baked beside others take 
 have to succeed.
 """
 import argparse
+import os
 import random
 import signal
 import socket
@@ -39,15 +43,34 @@ class Machines:
         self.args, self.folder, self.workers = args, Path(folder), workers
         self.folder.mkdir(parents=True)
         self.port, self.broker_port = free_port(), free_port()
-        self.all = {}
+        self.all, self.s3 = {}, None
+        if args.s3 and workers:
+            self.start_s3()
         for name in (["broker"] if workers else []) + ["service"] + [f"worker-{k}" for k in range(workers)]:
             self.start(name)
         with self.client() as client:
             while not client.is_ready():
                 time.sleep(0.05)
 
+    def start_s3(self):
+        """An S3 server with a bucket, and where its clients find it."""
+        server = f"http://127.0.0.1:{free_port()}"
+        with open(self.folder / "s3.log", "ab") as log:
+            command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", server.rsplit(":", 1)[1]]
+            self.s3 = subprocess.Popen(command, stdout=log, stderr=log)
+        os.environ |= {"AWS_ENDPOINT": server, "AWS_ALLOW_HTTP": "true", "AWS_REGION": "us-east-1",
+                       "AWS_ACCESS_KEY_ID": "key", "AWS_SECRET_ACCESS_KEY": "secret"}
+        import httpx
+        while True:
+            try:
+                httpx.put(f"{server}/rebake", timeout=5).raise_for_status()
+                return
+            except httpx.TransportError:
+                time.sleep(0.1)
+
     def start(self, name):
-        meet = ["--queue", f"nats://127.0.0.1:{self.broker_port}", "--objects", self.folder / "objects"]
+        objects = "s3://rebake/shared" if self.s3 else self.folder / "objects"
+        meet = ["--queue", f"nats://127.0.0.1:{self.broker_port}", "--objects", objects]
         command = {
             "broker": ["nats-server", "-js", "-a", "127.0.0.1", "-p", str(self.broker_port), "-sd", self.folder / "broker"],
             "service": [self.args.rebake, "serve", "--listen", f"127.0.0.1:{self.port}", "--data-dir", self.folder / "data",
@@ -61,7 +84,7 @@ class Machines:
         self.all[name].wait()
 
     def end(self):
-        for process in self.all.values():
+        for process in [*self.all.values(), *([self.s3] if self.s3 else [])]:
             process.kill()
             process.wait()
 
@@ -211,6 +234,7 @@ def main():
     parser.add_argument("--scenes", type=int, default=10)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--s3", action="store_true")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         results, failures = under_faults(args, Path(folder) / "faults")
