@@ -19,7 +19,12 @@ pub fn mix(mut z: u64) -> u64 {
 /// Uniform in [0, 1), of 64 bits.
 #[inline]
 pub(crate) fn unit(bits: u64) -> f32 {
-    (bits >> 40) as f32 * (1.0 / 16_777_216.0)
+    unit_of_32((bits >> 32) as u32)
+}
+
+#[inline]
+fn unit_of_32(bits: u32) -> f32 {
+    (bits >> 8) as f32 * (1.0 / 16_777_216.0)
 }
 
 /// A seed derived from a seed and a label: independent streams for passes and rounds.
@@ -56,7 +61,7 @@ impl Pcg32 {
     /// Uniform in [0, 1).
     #[inline]
     pub fn next_f32(&mut self) -> f32 {
-        (self.next_u32() >> 8) as f32 * (1.0 / 16_777_216.0)
+        unit_of_32(self.next_u32())
     }
 
     /// Two independent uniforms.
@@ -96,7 +101,7 @@ impl R2 {
     pub fn get(&self, index: u32) -> [f32; 2] {
         let x = index.wrapping_mul(X).wrapping_add(self.shift[0]);
         let y = index.wrapping_mul(Y).wrapping_add(self.shift[1]);
-        [(x >> 8) as f32 * (1.0 / 16_777_216.0), (y >> 8) as f32 * (1.0 / 16_777_216.0)]
+        [unit_of_32(x), unit_of_32(y)]
     }
 }
 

@@ -8,8 +8,8 @@ use serde_json::Value;
 /// The description, read once: `{"/v1/scenes": {"get": {"responses": {"200": …}}}}`.
 static PATHS: LazyLock<Value> = LazyLock::new(|| serde_json::to_value(&rebake::api::document().paths).unwrap());
 
-/// A path of the API answers each of its methods with statuses that the description lists; others say nothing. Of
-/// `/v1/jobs/{job}` and `/v1/jobs/all` the one with fewer wildcards counts.
+/// A path of the API answers each of its methods with statuses that the description lists; others say nothing. Of `atlas/{page}`
+/// and `atlas/deltas` the one with fewer wildcards counts.
 #[track_caller]
 pub(crate) fn check(method: &Method, path: &str, status: StatusCode) {
     let paths = PATHS.as_object().unwrap();

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::exchange::Matrix;
 use super::gmres;
-use crate::value::{Few, Layered, Lockstep, Value};
+use crate::value::{Few, Lockstep, Value};
 
 /// Residual of the solve, relative to its source.
 const TOLERANCE: f64 = 1e-4;
@@ -35,34 +35,19 @@ pub(crate) trait Solvable: Value {
     fn add_change(&mut self, change: &Self::Change);
 }
 
-impl Solvable for Vec3 {
-    type Change = Self;
+/// Layer by layer.
+impl<V: Lockstep> Solvable for V {
+    type Change = V;
 
-    fn all_bounces(matrix: &Matrix, first: &[Vec3]) -> Vec<Vec3> {
+    fn all_bounces(matrix: &Matrix, first: &[V]) -> Vec<V> {
         in_lockstep(matrix, first)
     }
 
-    fn change_from(&self, other: &Self) -> Self {
+    fn change_from(&self, other: &V) -> V {
         *self - *other
     }
 
-    fn add_change(&mut self, change: &Self) {
-        *self += *change;
-    }
-}
-
-impl<const K: usize> Solvable for Layered<K> {
-    type Change = Self;
-
-    fn all_bounces(matrix: &Matrix, first: &[Self]) -> Vec<Self> {
-        in_lockstep(matrix, first)
-    }
-
-    fn change_from(&self, other: &Self) -> Self {
-        *self - *other
-    }
-
-    fn add_change(&mut self, change: &Self) {
+    fn add_change(&mut self, change: &V) {
         *self += *change;
     }
 }

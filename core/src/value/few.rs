@@ -247,7 +247,7 @@ impl Value for Few<Vec3> {
     }
 
     fn squares(&self, factor: f32) -> Few<f32> {
-        let square = |light: Vec3| factor * light.length_squared() / 3.0;
+        let square = |light| square(light, factor);
         Few { len: self.len, layers: self.layers, values: self.values.map(square), rest: square(self.rest) }
     }
 
@@ -278,7 +278,7 @@ impl Value for Few<Vec3> {
 
     /// Squared layer by layer: of both signs, what is merged would not be.
     fn squared_difference(&self, other: &Self, factor: f32) -> Few<f32> {
-        let square = |light: Vec3| factor * light.length_squared() / 3.0;
+        let square = |light| square(light, factor);
         let mut squares = Few { rest: square(self.rest - other.rest), ..Few::default() };
         self.live().for_each(|(layer, light)| squares.add_to(layer, square(light - other.at(layer.into()))));
         let only_theirs = other.live().filter(|(layer, _)| !self.layers[..self.len].contains(layer));
@@ -291,6 +291,11 @@ impl Value for Few<Vec3> {
         let of_rest = self.rest * weights.first().copied().unwrap_or_default();
         self.live().fold(of_rest, |sum, (layer, light)| sum + light * weights[usize::from(layer)])
     }
+}
+
+/// `factor` times the square, mean over RGB.
+fn square(light: Vec3, factor: f32) -> f32 {
+    factor * light.length_squared() / 3.0
 }
 
 impl Few<Vec3> {

@@ -13,7 +13,7 @@ use glam::Vec3;
 use super::Placed;
 use crate::bits::Bits;
 use crate::bvh::{Filter, Ray, TriangleMask};
-use crate::random::mix;
+use crate::random::{mix, unit};
 use crate::scene::Passage;
 use crate::surface::SeeThrough;
 
@@ -92,7 +92,7 @@ impl<'a> Chance<'a> {
             let [u, v, w] = self.ray.direction.to_array().map(|part| u64::from(part.to_bits()));
             mix(mix(mix(x << 32 | u) ^ (y << 32 | v)) ^ (z << 32 | w))
         });
-        (mix(seed ^ u64::from(t.to_bits())) >> 40) as f32 * (1.0 / 16_777_216.0)
+        unit(mix(seed ^ u64::from(t.to_bits())))
     }
 }
 
