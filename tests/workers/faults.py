@@ -43,9 +43,9 @@ class Machines:
         self.args, self.folder, self.workers = args, Path(folder), workers
         self.folder.mkdir(parents=True)
         self.port, self.broker_port = free_port(), free_port()
-        self.all, self.s3 = {}, None
+        self.all, self.objects = {}, self.folder / "objects"
         if args.s3 and workers:
-            self.start_s3()
+            self.objects = self.start_s3()
         for name in (["broker"] if workers else []) + ["service"] + [f"worker-{k}" for k in range(workers)]:
             self.start(name)
         with self.client() as client:
@@ -53,24 +53,24 @@ class Machines:
                 time.sleep(0.05)
 
     def start_s3(self):
-        """An S3 server with a bucket, and where its clients find it."""
+        """An S3 server with a bucket, which its clients find in the environment; answers the address of a folder."""
         server = f"http://127.0.0.1:{free_port()}"
         with open(self.folder / "s3.log", "ab") as log:
             command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", server.rsplit(":", 1)[1]]
-            self.s3 = subprocess.Popen(command, stdout=log, stderr=log)
+            self.all["s3"] = subprocess.Popen(command, stdout=log, stderr=log)
         os.environ |= {"AWS_ENDPOINT": server, "AWS_ALLOW_HTTP": "true", "AWS_REGION": "us-east-1",
                        "AWS_ACCESS_KEY_ID": "key", "AWS_SECRET_ACCESS_KEY": "secret"}
         import httpx
-        while True:
+        while self.all["s3"].poll() is None:
             try:
                 httpx.put(f"{server}/rebake", timeout=5).raise_for_status()
-                return
+                return "s3://rebake/shared"
             except httpx.TransportError:
                 time.sleep(0.1)
+        sys.exit(f"the S3 server does not start: {(self.folder / 's3.log').read_text()}")
 
     def start(self, name):
-        objects = "s3://rebake/shared" if self.s3 else self.folder / "objects"
-        meet = ["--queue", f"nats://127.0.0.1:{self.broker_port}", "--objects", objects]
+        meet = ["--queue", f"nats://127.0.0.1:{self.broker_port}", "--objects", self.objects]
         command = {
             "broker": ["nats-server", "-js", "-a", "127.0.0.1", "-p", str(self.broker_port), "-sd", self.folder / "broker"],
             "service": [self.args.rebake, "serve", "--listen", f"127.0.0.1:{self.port}", "--data-dir", self.folder / "data",
@@ -84,7 +84,7 @@ class Machines:
         self.all[name].wait()
 
     def end(self):
-        for process in [*self.all.values(), *([self.s3] if self.s3 else [])]:
+        for process in self.all.values():
             process.kill()
             process.wait()
 
