@@ -36,6 +36,7 @@ mod order;
 pub mod points;
 pub mod probes;
 pub mod random;
+mod ranges;
 mod refine;
 pub mod render;
 pub mod resolution;

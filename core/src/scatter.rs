@@ -4,10 +4,13 @@
 //! edges of shadows, noise is not; so a first map knows its error, too. Of few rounds: variances are alike along a
 //! surface, and each by itself has one degree of freedom less than there are rounds.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
+use crate::ranges::split_mut;
 use crate::value::Linear;
-use crate::world::World;
+use crate::world::{Placed, World};
 
 /// Elements per task.
 const CHUNK: usize = 1024;
@@ -20,38 +23,41 @@ pub(crate) fn scatter_of_neighbours<L: Linear, T: Linear>(
     light: impl Fn(usize) -> L + Sync,
     square: impl Fn(L, f32) -> T + Sync,
 ) -> Vec<T> {
-    let mut variance = vec![T::default(); world.slots()];
     let is_valid = |slot: usize| world.is_valid(slot);
-    for placed in &world.placed {
-        for side in placed.sides() {
-            let own = side.start as usize..side.end as usize;
-            let first = own.start;
-            let neighbours = |element: usize| {
-                let slots = placed.layout.neighbours_of(element as u32).map(|e| first + e as usize);
-                slots.filter(|&slot| is_valid(slot))
-            };
-            let square = |element: usize| {
-                let (sum, count) =
-                    neighbours(element).fold((L::default(), 0.0), |(s, n), slot| (s + light(slot), n + 1.0));
-                if count == 0.0 || !is_valid(first + element) {
-                    return T::default();
-                }
-                square(light(first + element) - sum / count, count / (count + 1.0))
-            };
-            // Where an edit changes nothing, nothing scatters.
-            if own.clone().into_par_iter().with_min_len(CHUNK).all(|slot| light(slot) == L::default()) {
-                continue;
+    by_sides(world, |placed, own, variance| {
+        let first = own.start;
+        let neighbours = |element: usize| {
+            let slots = placed.layout.neighbours_of(element as u32).map(|e| first + e as usize);
+            slots.filter(|&slot| is_valid(slot))
+        };
+        let square = |element: usize| {
+            let (sum, count) = neighbours(element).fold((L::default(), 0.0), |(s, n), slot| (s + light(slot), n + 1.0));
+            if count == 0.0 || !is_valid(first + element) {
+                return T::default();
             }
-            let squares: Vec<T> = (0..own.len()).into_par_iter().with_min_len(CHUNK).map(square).collect();
-            let pooled = |(element, variance): (usize, &mut T)| {
-                let around = neighbours(element).map(|slot| squares[slot - first]);
-                let (sum, count) = around.fold((squares[element], 1.0), |(s, n), square| (s + square, n + 1.0));
-                *variance = sum / count;
-            };
-            variance[own].par_iter_mut().enumerate().with_min_len(CHUNK).for_each(pooled);
+            square(light(first + element) - sum / count, count / (count + 1.0))
+        };
+        // Where an edit changes nothing, nothing scatters.
+        if own.clone().into_par_iter().with_min_len(CHUNK).all(|slot| light(slot) == L::default()) {
+            return;
         }
-    }
-    variance
+        let squares: Vec<T> = (0..own.len()).into_par_iter().with_min_len(CHUNK).map(square).collect();
+        let pooled = |(element, variance): (usize, &mut T)| {
+            let around = neighbours(element).map(|slot| squares[slot - first]);
+            let (sum, count) = around.fold((squares[element], 1.0), |(s, n), square| (s + square, n + 1.0));
+            *variance = sum / count;
+        };
+        variance.par_iter_mut().enumerate().with_min_len(CHUNK).for_each(pooled);
+    })
+}
+
+/// A value per slot, the default where `write` leaves it: of each side of each object, whose slots and values it is told.
+fn by_sides<T: Linear>(world: &World, write: impl Fn(&Placed, Range<usize>, &mut [T]) + Sync) -> Vec<T> {
+    let mut values = vec![T::default(); world.slots()];
+    let sides = world.sides();
+    let parts = split_mut(&mut values, sides.iter().map(|(_, slots)| slots.clone()));
+    sides.into_par_iter().zip(parts).for_each(|((placed, slots), values)| write(placed, slots, values));
+    values
 }
 
 /// Degrees of freedom that neighbours count for, together.
@@ -66,29 +72,24 @@ pub(crate) fn pooled_with_neighbours<T: Linear>(
     estimated: &[bool],
     variance: impl Fn(usize) -> T + Sync,
 ) -> Vec<T> {
-    let mut pooled = vec![T::default(); world.slots()];
-    for placed in &world.placed {
-        for side in placed.sides() {
-            let own = side.start as usize..side.end as usize;
-            let first = own.start;
-            let pool = |(element, pooled): (usize, &mut T)| {
-                if !estimated[first + element] {
-                    return;
-                }
-                let slots = placed.layout.neighbours_of(element as u32).map(|e| first + e as usize);
-                let (sum, count) = slots
-                    .filter(|&slot| world.is_valid(slot) && estimated[slot])
-                    .fold((T::default(), 0.0), |(sum, count), slot| (sum + variance(slot), count + 1.0));
-                let by_itself = variance(first + element);
-                *pooled = match count > 0.0 {
-                    true => (by_itself * freedom + sum * (NEIGHBOURS / count)) / (freedom + NEIGHBOURS),
-                    false => by_itself,
-                };
+    by_sides(world, |placed, own, pooled| {
+        let first = own.start;
+        let pool = |(element, pooled): (usize, &mut T)| {
+            if !estimated[first + element] {
+                return;
+            }
+            let slots = placed.layout.neighbours_of(element as u32).map(|e| first + e as usize);
+            let (sum, count) = slots
+                .filter(|&slot| world.is_valid(slot) && estimated[slot])
+                .fold((T::default(), 0.0), |(sum, count), slot| (sum + variance(slot), count + 1.0));
+            let by_itself = variance(first + element);
+            *pooled = match count > 0.0 {
+                true => (by_itself * freedom + sum * (NEIGHBOURS / count)) / (freedom + NEIGHBOURS),
+                false => by_itself,
             };
-            pooled[own].par_iter_mut().enumerate().with_min_len(CHUNK).for_each(pool);
-        }
-    }
-    pooled
+        };
+        pooled.par_iter_mut().enumerate().with_min_len(CHUNK).for_each(pool);
+    })
 }
 
 #[cfg(test)]

@@ -25,6 +25,7 @@ const RUNS: usize = 3;
 const DENSE: usize = 28;
 
 fn main() {
+    rebake::keep_freed_memory();
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();
     let value = |name: &str| arguments.iter().find_map(|argument| argument.strip_prefix(name)?.strip_prefix('='));
     let sides: Vec<usize> =

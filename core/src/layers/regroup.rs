@@ -85,13 +85,12 @@ impl LightValues {
     /// Adds `factor` times independent light.
     pub(crate) fn add_scaled(&mut self, light: AnyLight, factor: Vec3) {
         let square = factor.length_squared() / 3.0;
-        let blocks = self.direct.chunks_mut(BLOCK_SLOTS).zip(self.indirect.chunks_mut(BLOCK_SLOTS));
-        for (index, ((direct, indirect), variance)) in blocks.zip(self.variance.chunks_mut(BLOCK_SLOTS)).enumerate() {
-            let Some(block) = light.block(index) else { continue };
-            direct.iter_mut().zip(block.direct).for_each(|(s, v)| *s += *v * factor);
-            indirect.iter_mut().zip(block.indirect).for_each(|(s, v)| *s += *v * factor);
+        self.add_light(light, factor);
+        let blocks = self.variance.par_chunks_mut(BLOCK_SLOTS).enumerate().with_min_len(64);
+        blocks.for_each(|(index, variance)| {
+            let Some(block) = light.block(index) else { return };
             variance.iter_mut().zip(block.variance).for_each(|(s, v)| *s += *v * square);
-        }
+        });
     }
 }
 

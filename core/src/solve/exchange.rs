@@ -5,6 +5,7 @@
 //! any but the first. A bounce's look-up is interpolated from a few elements, each from a few representatives; an entry
 //! takes one of them, with their weight as probability.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -14,6 +15,7 @@ use super::rows::{NONE, offsets};
 use super::{Rows, Solvable, Subset};
 use crate::job::Canceled;
 use crate::random::{PartSeed, Pcg32};
+use crate::ranges::split_mut;
 use crate::transport::{End, Radiance, Source, Work, gather_paths};
 use crate::value::Value;
 use crate::world::World;
@@ -23,6 +25,9 @@ const BORROWED: f32 = 4.0;
 
 /// Rows per task.
 const CHUNK: usize = 32;
+
+/// Groups of rows that borrow of one another, per task.
+const GROUPS: usize = 64;
 
 /// Where one path of a representative ended.
 #[derive(Clone, Copy, Debug)]
@@ -79,16 +84,18 @@ impl Matrix {
     /// with such a cycle has far more light go round than there is.
     pub(super) fn apply<V: Value>(&self, x: &[V]) -> Vec<V> {
         let mut means = self.mean_of_rows(|e| e.row, x);
-        for ends in self.rows.neighbours.windows(2) {
-            let rows = ends[0]..ends[1];
+        let groups = || self.rows.neighbours.windows(2).map(|ends| ends[0]..ends[1]);
+        let parts = split_mut(&mut means, groups());
+        let borrow = |(rows, means): (Range<usize>, &mut [V])| {
             let paths = |row: usize| (self.offsets[row + 1] - self.offsets[row]) as f32;
             let all = (self.offsets[rows.end] - self.offsets[rows.start]) as f32;
-            let mean = rows.clone().map(|row| means[row] * paths(row)).sum::<V>() / all;
-            for row in rows {
-                let own = paths(row);
-                means[row] = (means[row] * own + mean * BORROWED) / (own + BORROWED);
+            let mean = rows.clone().zip(&*means).map(|(row, own)| *own * paths(row)).sum::<V>() / all;
+            for (row, own) in rows.zip(means) {
+                let paths = paths(row);
+                *own = (*own * paths + mean * BORROWED) / (paths + BORROWED);
             }
-        }
+        };
+        groups().zip(parts).collect::<Vec<_>>().into_par_iter().with_min_len(GROUPS).for_each(borrow);
         means
     }
 

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use crate::ranges::split_mut;
 use crate::transport::{Surfel, blacken};
 use crate::value::Value;
 use crate::world::{Hidden, Placed, World};
@@ -19,6 +20,8 @@ pub(crate) struct Subset {
     /// Element slots of the representatives, object by object.
     pub slots: Vec<u32>,
     sides: Vec<Side>,
+    /// Indices of `sides` in the order of their slots.
+    by_slot: Vec<usize>,
     /// Index of the front's side, by part; the back's comes next.
     side_of_part: Vec<u32>,
     len: usize,
@@ -53,14 +56,15 @@ impl Subset {
         }
         let sides: Vec<(Side, Vec<u32>)> =
             ends.into_par_iter().map(|(placed, back)| Side::new(world, placed, back)).collect();
-        let mut subset =
-            Subset { slots: Vec::new(), sides: Vec::with_capacity(sides.len()), side_of_part, len: world.slots() };
-        for (mut side, slots) in sides {
-            side.begin_at(subset.slots.len() as u32);
-            subset.slots.extend(slots);
-            subset.sides.push(side);
+        let mut by_slot: Vec<usize> = (0..sides.len()).collect();
+        by_slot.sort_by_key(|&k| sides[k].0.first_slot);
+        let (mut slots, mut placed) = (Vec::new(), Vec::with_capacity(sides.len()));
+        for (mut side, own) in sides {
+            side.begin_at(slots.len() as u32);
+            slots.extend(own);
+            placed.push(side);
         }
-        subset
+        Subset { slots, sides: placed, by_slot, side_of_part, len: world.slots() }
     }
 
     /// Per slot: whether it is a representative that some of `wanted`, ascending, are interpolated from.
@@ -133,9 +137,10 @@ impl Subset {
         out: &mut [W],
         add: impl Fn(&mut W, &V) + Sync,
     ) {
-        for side in &self.sides {
-            side.interpolate_where(&is_wanted, values, &mut out[side.first_slot as usize..], &add);
-        }
+        let sides = || self.by_slot.iter().map(|&k| &self.sides[k]);
+        let parts = split_mut(out, sides().map(Side::range));
+        let sides = sides().zip(parts).collect::<Vec<_>>().into_par_iter();
+        sides.for_each(|(side, out)| side.interpolate_where(&is_wanted, values, out, &add));
     }
 
     /// One of the representatives that a look-up is interpolated from, with its weight as probability; none where no
@@ -188,6 +193,12 @@ impl Side {
         (Side { placed: Arc::clone(placed), first_slot, back, members, index, hidden, alone }, slots)
     }
 
+    /// Its slots.
+    fn range(&self) -> Range<usize> {
+        let first = self.first_slot as usize;
+        first..first + self.placed.layout.len()
+    }
+
     /// Moves its indices, which begin at 0.
     fn begin_at(&mut self, first: u32) {
         self.members = first as usize..first as usize + self.members.len();
@@ -224,7 +235,7 @@ impl Side {
         last.or_else(|| self.alone.binary_search_by_key(&element, |a| a.0).ok().map(|k| self.alone[k].1))
     }
 
-    /// Adds the values of its elements to the beginning of `out`.
+    /// Adds the values of its elements to `out`.
     fn interpolate_where<V: Value, W: Send>(
         &self,
         is_wanted: &(impl Fn(u32) -> bool + Sync),
@@ -235,7 +246,6 @@ impl Side {
         if values[self.members.clone()].iter().all(|value| *value == V::default()) {
             return;
         }
-        let out = &mut out[..self.placed.layout.len()];
         let is_wanted = |element: u32| is_wanted(self.first_slot + element);
         out.par_iter_mut().enumerate().with_min_len(CHUNK).for_each(|(element, out)| {
             if !is_wanted(element as u32) {

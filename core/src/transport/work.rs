@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use rayon::prelude::*;
 
 use crate::job::{Canceled, Observer};
+use crate::ranges::split_mut;
 use crate::value::Value;
 
 /// Elements per task: long enough to amortise, short enough that a cancel is seen within milliseconds.
@@ -149,14 +150,10 @@ impl<T> Piece<'_, T> {
 /// Divides ascending slots, and their values with them.
 fn pieces<'a, T>(slots: &'a [u32], values: &'a mut [T], chunk: usize) -> Vec<Piece<'a, T>> {
     debug_assert!(slots.is_sorted(), "slots have to ascend");
-    let (mut left, mut end) = (values, 0);
-    let piece = |slots: &'a [u32]| {
-        let (first, last) = (slots[0] as usize, slots[slots.len() - 1] as usize);
-        let (own, behind) = std::mem::take(&mut left)[first - end..].split_at_mut(last + 1 - first);
-        (left, end) = (behind, last + 1);
-        Piece { slots, first, values: own }
-    };
-    slots.chunks(chunk).map(piece).collect()
+    let around = |slots: &[u32]| slots[0] as usize..slots[slots.len() - 1] as usize + 1;
+    let parts = split_mut(values, slots.chunks(chunk).map(around));
+    let piece = |(slots, values): (&'a [u32], &'a mut [T])| Piece { slots, first: slots[0] as usize, values };
+    slots.chunks(chunk).zip(parts).map(piece).collect()
 }
 
 #[cfg(test)]

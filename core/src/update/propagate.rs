@@ -53,7 +53,7 @@ pub(super) struct Seen<'a, V> {
 pub(super) struct Change<'a, V> {
     /// ΔD + S, as elements see it that have an old value.
     seen_by_old: Vec<V>,
-    /// S alone: new slots have gathered ΔD and the repainted surfaces already.
+    /// S alone: new slots have gathered ΔD and the repainted surfaces already. Empty where there are none.
     seen_by_new: Vec<V>,
     is_new: Vec<bool>,
     /// What lamps change, where nothing else changes direct light: it is sampled where a bake samples it, at near surfaces
@@ -181,7 +181,9 @@ impl<V: Solvable> Updater<'_, V> {
             world.validity.fill(&mut field);
         }
         self.buffers.give(change.seen_by_old);
-        self.buffers.give(change.seen_by_new);
+        if !change.seen_by_new.is_empty() {
+            self.buffers.give(change.seen_by_new);
+        }
         Ok(field)
     }
 
@@ -264,14 +266,17 @@ impl<V: Solvable> Updater<'_, V> {
             seen
         };
         let mut seen_by_old = seen(&|slot| direct[slot] + indirect[slot]);
-        let mut seen_by_new = seen(&|slot| indirect[slot]);
+        let has_new = !self.transition.new_slots.is_empty();
+        let mut seen_by_new = if has_new { seen(&|slot| indirect[slot]) } else { Vec::new() };
         // Elements that were invalid had a value copied from neighbours, and S has looked that up.
         for &slot in &self.transition.filled_slots {
             let slot = slot as usize;
             seen_by_old[slot] = direct[slot] + indirect[slot] - self.before_total[slot];
         }
         self.world.validity.fill(&mut seen_by_old);
-        self.world.validity.fill(&mut seen_by_new);
+        if has_new {
+            self.world.validity.fill(&mut seen_by_new);
+        }
         let repainted = self.repaint.as_deref().map(|repaint| (repaint, &*self.light));
         let lamps = self.direct.of_lamps().filter(|_| self.transition.new_slots.is_empty() && repainted.is_none());
         let is_new = self.new_flags();

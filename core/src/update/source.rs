@@ -93,14 +93,18 @@ impl<'a> SourceTerm<'a> {
         let samples = round.samples * FAR_SAMPLES;
         let (far_sky, far) = self.gather(&extent.representatives, maps, samples, seed, work)?;
         extent.add(subset, &fine, &far, indirect);
-        let (before, after) = (&self.transition.before.emitters, &self.transition.after.emitters);
-        if before.has_sky() || after.has_sky() {
+        if self.has_sky() {
             extent.add(subset, &fine_sky, &far_sky, direct);
         }
         Ok(())
     }
 
-    /// (change of visible sky, S) of some slots.
+    fn has_sky(&self) -> bool {
+        let Transition { before, after, .. } = self.transition;
+        before.emitters.has_sky() || after.emitters.has_sky()
+    }
+
+    /// (change of visible sky, S) of some slots; without a sky nothing for it.
     fn gather<V: Value>(
         &self,
         slots: &[u32],
@@ -111,7 +115,7 @@ impl<'a> SourceTerm<'a> {
     ) -> Result<(Vec<V>, Vec<V>), Canceled> {
         let full = samples as f32;
         let world = &self.transition.after;
-        let values = work.map(slots, |_, slot, rays| {
+        let change = |slot: u32, rays: &mut u64| {
             let from @ (point, n) = world.ray_origin(slot as usize);
             let Some(mixture) = Mixture::new(&self.spheres, point, n) else { return (V::default(), V::default()) };
             let wanted =
@@ -149,8 +153,11 @@ impl<'a> SourceTerm<'a> {
                 }
             }
             (sky / samples as f32, reflected / samples as f32)
-        })?;
-        Ok(values.into_iter().unzip())
+        };
+        if self.has_sky() {
+            return Ok(work.map(slots, |_, slot, rays| change(slot, rays))?.into_iter().unzip());
+        }
+        Ok((Vec::new(), work.map(slots, |_, slot, rays| change(slot, rays).1)?))
     }
 
     /// What changes along a ray; none where both worlds look the same.

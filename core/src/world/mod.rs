@@ -271,6 +271,18 @@ impl World {
         sizing + space + self.trees.memory_bytes() + objects + self.scene.texture_bytes() + atlas
     }
 
+    /// The sides of all objects, in the order of their slots.
+    pub(crate) fn sides(&self) -> Vec<(&Placed, Range<usize>)> {
+        let of_object = |placed: &'_ Arc<Placed>| {
+            let slots = |side: Range<u32>| side.start as usize..side.end as usize;
+            placed.sides().map(slots).collect::<Vec<_>>()
+        };
+        let mut sides: Vec<(&Placed, Range<usize>)> =
+            self.placed.iter().flat_map(|placed| of_object(placed).into_iter().map(|side| (&**placed, side))).collect();
+        sides.sort_by_key(|(_, side)| side.start);
+        sides
+    }
+
     /// Slots whose value is computed, ascending.
     pub(crate) fn computed_slots(&self) -> Vec<u32> {
         let slots = (0..self.slots() as u32).into_par_iter().with_min_len(4096);

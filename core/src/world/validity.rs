@@ -12,6 +12,7 @@ use super::buried::{depth_towards, is_inside};
 use super::{Placed, Trees, World};
 use crate::bits::Bits;
 use crate::lightmap::LightValues;
+use crate::ranges::split_mut;
 use crate::surface::overlap;
 use crate::value::{Linear, Value};
 
@@ -37,35 +38,58 @@ struct Filled {
     fills: Arc<Fills>,
 }
 
+/// Which slots take the mean of which others.
 #[derive(Debug)]
 struct Fills {
-    /// Nearest to valid ones first; each is the mean of sources filled before it.
-    list: Vec<Fill>,
-    /// Indices of `list` by target.
+    /// Slots that are filled, nearest to valid ones first: each is the mean of sources filled before it.
+    targets: Vec<u32>,
+    /// Where the sources of each begin, and where the last one's end.
+    starts: Vec<u32>,
+    sources: Vec<u32>,
+    /// Indices of `targets`, by slot.
     by_target: Vec<u32>,
 }
 
-#[derive(Debug)]
-struct Fill {
-    target: u32,
-    sources: Vec<u32>,
-}
-
 impl Fills {
-    fn new(list: Vec<Fill>) -> Fills {
+    /// Of slots, each with its sources, in the order in which they are filled.
+    fn new(list: &[(u32, Vec<u32>)]) -> Fills {
         let mut by_target: Vec<u32> = (0..list.len() as u32).collect();
-        by_target.sort_unstable_by_key(|&f| list[f as usize].target);
-        Fills { list, by_target }
+        by_target.sort_unstable_by_key(|&f| list[f as usize].0);
+        let ends = list.iter().scan(0, |end, (_, sources)| {
+            *end += sources.len() as u32;
+            Some(*end)
+        });
+        Fills {
+            targets: list.iter().map(|(target, _)| *target).collect(),
+            starts: std::iter::once(0).chain(ends).collect(),
+            sources: list.iter().flat_map(|(_, sources)| sources).copied().collect(),
+            by_target,
+        }
     }
 
-    fn of(&self, slot: u32) -> Option<&Fill> {
-        let found = self.by_target.binary_search_by_key(&slot, |&f| self.list[f as usize].target).ok()?;
-        Some(&self.list[self.by_target[found] as usize])
+    /// The sources of a slot; none where it is not filled.
+    fn of(&self, slot: u32) -> Option<&[u32]> {
+        let found = self.by_target.binary_search_by_key(&slot, |&f| self.targets[f as usize]).ok()?;
+        Some(self.sources_of(self.by_target[found] as usize))
+    }
+
+    #[inline]
+    fn sources_of(&self, index: usize) -> &[u32] {
+        &self.sources[self.starts[index] as usize..self.starts[index + 1] as usize]
+    }
+
+    /// Fills the slots from `first` on.
+    fn fill<T: Linear>(&self, first: usize, values: &mut [T]) {
+        for (index, &target) in self.targets.iter().enumerate() {
+            let sources = self.sources_of(index);
+            let sum = sources.iter().fold(T::default(), |sum, &source| sum + values[source as usize - first]);
+            values[target as usize - first] = sum / sources.len() as f32;
+        }
     }
 
     fn memory_bytes(&self) -> usize {
-        let sources: usize = self.list.iter().map(|fill| fill.sources.capacity()).sum();
-        (sources + self.by_target.capacity()) * size_of::<u32>() + self.list.capacity() * size_of::<Fill>()
+        let Fills { targets, starts, sources, by_target } = self;
+        [targets, starts, sources, by_target].into_iter().map(|list| list.capacity() * size_of::<u32>()).sum()
     }
 }
 
@@ -147,7 +171,7 @@ impl Validity {
         let objects = world.placed.par_iter().zip(&by_object).filter(|(_, invalid)| !invalid.is_empty());
         let mut filled: Vec<Filled> = objects
             .map(|(placed, invalid)| {
-                let new = || Arc::new(Fills::new(fill_object(world, placed, &validity)));
+                let new = || Arc::new(Fills::new(&fill_object(world, placed, &validity)));
                 let fills = kept(placed, invalid).unwrap_or_else(new);
                 Filled { key: placed.key, slots: placed.placement.elements.clone(), fills }
             })
@@ -194,8 +218,7 @@ impl Validity {
     /// valid.
     pub(crate) fn stand_in(&self, slot: u32, mut u: f32) -> u32 {
         let mut slot = slot;
-        while let Some(fill) = self.object_at(slot).and_then(|object| object.fills.of(slot)) {
-            let sources = &fill.sources;
+        while let Some(sources) = self.object_at(slot).and_then(|object| object.fills.of(slot)) {
             u *= sources.len() as f32;
             let k = (u as usize).min(sources.len() - 1);
             u -= k as f32;
@@ -206,16 +229,15 @@ impl Validity {
 
     /// The slots whose mean an invalid slot takes; none where it is valid, or all around it are as it is.
     pub(super) fn sources_of(&self, slot: u32) -> &[u32] {
-        let fill = self.object_at(slot).and_then(|object| object.fills.of(slot));
-        fill.map_or(&[], |fill| &fill.sources)
+        self.object_at(slot).and_then(|object| object.fills.of(slot)).unwrap_or_default()
     }
 
     /// Gives invalid slots the means of their neighbours' values.
     pub(crate) fn fill<T: Linear>(&self, values: &mut [T]) {
-        for fill in self.objects.iter().flat_map(|object| &object.fills.list) {
-            let sources = fill.sources.iter().map(|&s| values[s as usize]);
-            values[fill.target as usize] = sources.fold(T::default(), T::add) / fill.sources.len() as f32;
-        }
+        let range = |object: &Filled| object.slots.start as usize..object.slots.end as usize;
+        let parts = split_mut(values, self.objects.iter().map(range));
+        let objects = self.objects.par_iter().zip(parts);
+        objects.for_each(|(object, values)| object.fills.fill(object.slots.start as usize, values));
     }
 
     /// Gives invalid slots the light of their neighbours, and its variance.
@@ -243,7 +265,7 @@ pub(super) fn part_of<'s>(slots: &'s [u32], range: &Range<u32>) -> &'s [u32] {
 
 /// Ring by ring from the valid elements of one object, along its surface. Each takes the side that is nearest: the mean
 /// of both sides of a wall would be the light of neither.
-fn fill_object(world: &World, placed: &Placed, validity: &Validity) -> Vec<Fill> {
+fn fill_object(world: &World, placed: &Placed, validity: &Validity) -> Vec<(u32, Vec<u32>)> {
     let mut fills = Vec::new();
     for side in placed.sides() {
         let first = side.start;
@@ -267,15 +289,15 @@ fn fill_object(world: &World, placed: &Placed, validity: &Validity) -> Vec<Fill>
                         .then_some(*source)
                 };
                 let sources = sources.iter().zip(&of_sources).filter_map(is_beside).collect();
-                Some((Fill { target, sources }, least))
+                Some(((target, sources), least))
             };
-            let ring: Vec<(Fill, f32)> = open.iter().filter_map(fill).collect();
+            let ring: Vec<((u32, Vec<u32>), f32)> = open.iter().filter_map(fill).collect();
             if ring.is_empty() {
                 break;
             }
             for (fill, depth) in ring {
-                open.remove(&fill.target);
-                depths.insert(fill.target, depth);
+                open.remove(&fill.0);
+                depths.insert(fill.0, depth);
                 fills.push(fill);
             }
         }
