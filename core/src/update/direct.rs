@@ -14,8 +14,11 @@ use crate::transport::{DirectLight, Work};
 use crate::value::Value;
 use crate::world::{Emitter, Shape, Transition, Trees, World};
 
-/// Elements that are asked together whether anything can change there; neighbours, mostly.
+/// Slots that are asked together which lights may change there; neighbours, mostly.
 const BLOCK: usize = 64;
+
+/// Blocks per task.
+const BLOCKS: usize = 64;
 
 /// Spheres are larger by this part of their radius than they are told to be.
 const INEXACT: f32 = 1e-3;
@@ -37,6 +40,8 @@ pub(super) struct DirectChange<'a> {
     pairs: Vec<Pair<'a>>,
     /// Sphere around all geometry that was inserted or removed.
     sphere: Option<(Vec3, f32)>,
+    /// Per block of slots: the pairs whose light may change there.
+    reaching: Vec<Vec<u32>>,
 }
 
 impl<'a> DirectChange<'a> {
@@ -66,7 +71,25 @@ impl<'a> DirectChange<'a> {
             pairs.push(Pair { emitter, before: emitter.strength, after: Vec3::ZERO, places: [Some(i), None] });
         }
         let triangles: Vec<[Vec3; 3]> = transition.changed_triangles();
-        DirectChange { transition, pairs, sphere: Spheres::new(&triangles).bounding() }
+        let sphere = Spheres::new(&triangles).bounding();
+        let mut change = DirectChange { transition, pairs, sphere, reaching: Vec::new() };
+        let blocks = (0..after.slots().div_ceil(BLOCK)).into_par_iter().with_min_len(BLOCKS);
+        change.reaching = blocks.map(|block| change.reaching(block)).collect();
+        change
+    }
+
+    /// Pairs whose light may change in a block.
+    fn reaching(&self, block: usize) -> Vec<u32> {
+        let world = &self.transition.after;
+        let slots = block * BLOCK..world.slots().min((block + 1) * BLOCK);
+        let computed = slots.filter(|&slot| world.is_computed(slot));
+        let (low, high) = bounds_of(computed.map(|slot| world.positions()[slot]));
+        if !low.cmple(high).all() {
+            return Vec::new();
+        }
+        let around = (low.midpoint(high), 0.5 * low.distance(high));
+        let pairs = (0..).zip(&self.pairs).filter(|(_, pair)| self.may_reach(pair, around));
+        pairs.map(|(index, _)| index).collect()
     }
 
     /// Adds ΔD of all slots of `extent` to `out`.
@@ -99,13 +122,8 @@ impl<'a> DirectChange<'a> {
 
     /// Those of some slots whose direct light may change, and perhaps some beside them.
     pub(super) fn may_change(&self, slots: &[u32]) -> Vec<u32> {
-        let positions = self.transition.after.positions();
-        let may_change = |slots: &&[u32]| {
-            let (low, high) = bounds_of(slots.iter().map(|&slot| positions[slot as usize]));
-            let around = (low.midpoint(high), 0.5 * low.distance(high));
-            self.pairs.iter().any(|pair| self.may_reach(pair, around))
-        };
-        slots.par_chunks(BLOCK).filter(may_change).flat_map_iter(|slots| slots.iter().copied()).collect()
+        let may_change = |slot: &&u32| !self.reaching[**slot as usize / BLOCK].is_empty();
+        slots.par_iter().with_min_len(BLOCK * BLOCKS).filter(may_change).copied().collect()
     }
 
     /// Whether what changes of a light can be seen within a sphere.
@@ -134,7 +152,7 @@ impl<'a> DirectChange<'a> {
             let (point, n) = after.ray_origin(slot as usize);
             let mut rng = Pcg32::new(seed, u64::from(slot));
             let mut sum = V::default();
-            for pair in &self.pairs {
+            for pair in self.reaching[slot as usize / BLOCK].iter().map(|&index| &self.pairs[index as usize]) {
                 let count = |world: usize| pair.places[world].map_or(0, |place| counts[world].samples[place]);
                 let count = count(0).max(count(1)).max(1);
                 let change = self.pair_change(pair, count, point, n, &mut rng, rays);
@@ -267,7 +285,7 @@ mod tests {
         World::new(Scene::from_objects(objects).with_light(bulb), &options).expect("a house")
     }
 
-    /// Where nothing is asked, nothing changes.
+    /// Where nothing is asked, nothing changes, and no light that is left out somewhere would change there.
     #[test]
     fn direct_light_changes_nowhere_but_where_it_may() {
         let world = house();
@@ -283,13 +301,17 @@ mod tests {
             let mut is_asked = vec![false; transition.after.slots()];
             asked.iter().for_each(|&slot| is_asked[slot as usize] = true);
             assert!(asked.len() < all.len() / 2, "{} of {}", asked.len(), all.len());
+            let every_pair: Vec<u32> = (0..direct.pairs.len() as u32).collect();
+            let every = vec![every_pair; direct.reaching.len()];
+            let every = DirectChange { reaching: every, ..DirectChange::new(&transition) };
             let mut changed = 0;
             for seed in 0..4 {
-                let change = direct.change::<Vec3>(4, seed);
+                let (change, whole) = (direct.change::<Vec3>(4, seed), every.change::<Vec3>(4, seed));
                 for &slot in &all {
-                    let differs = change(slot, &mut 0) != Vec3::ZERO;
-                    assert!(!differs || is_asked[slot as usize], "slot {slot}");
-                    changed += u32::from(differs);
+                    let light = whole(slot, &mut 0);
+                    assert_eq!(change(slot, &mut 0), light, "slot {slot}");
+                    assert!(light == Vec3::ZERO || is_asked[slot as usize], "slot {slot}");
+                    changed += u32::from(light != Vec3::ZERO);
                 }
             }
             assert!(changed > 20, "{changed}");
