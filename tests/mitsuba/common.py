@@ -240,20 +240,26 @@ def prepare_service(args):
 
 
 @contextmanager
-def served(binary):
-    """A client of a service that runs meanwhile."""
-    from rebake import Client
+def serving(binary):
+    """The address of a service that runs meanwhile."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{free.getsockname()[1]}"
     command = [binary, "serve", "--listen", address]
     service = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        with Client(f"http://{address}", patience=60) as client:
-            yield client
+        yield f"http://{address}"
     finally:
         service.terminate()
         service.wait()
+
+
+@contextmanager
+def served(binary):
+    """A client of a service that runs meanwhile."""
+    from rebake import Client
+    with serving(binary) as server, Client(server, patience=60) as client:
+        yield client
 
 
 def baked(binary, files, samples, sky=None, **settings):
