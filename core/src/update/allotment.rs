@@ -47,12 +47,7 @@ pub(super) struct Allotment {
 
 impl Allotment {
     /// For the amount per slot of what has changed, and of the light that was there.
-    pub(super) fn new(
-        world: &World,
-        subset: &Subset,
-        amounts: &[f32],
-        light: impl Fn(usize) -> f32 + Sync,
-    ) -> Allotment {
+    pub(super) fn new(world: &World, subset: &Subset, amounts: &[f32], light: impl Fn(usize) -> f32) -> Allotment {
         let places = places(world, amounts);
         let area: f32 = places.iter().map(|p| p.area).sum();
         // The mean of all later bounces.
@@ -72,8 +67,7 @@ impl Allotment {
         };
         let areas = subset.areas(world);
         let needs = subset.slots.par_iter().zip(&areas).with_min_len(CHUNK).map(|(slot, area)| need((slot, *area)));
-        let lights = subset.slots.par_iter().with_min_len(CHUNK).map(|&slot| light(slot as usize));
-        let lights: Vec<f32> = lights.collect();
+        let lights: Vec<f32> = subset.slots.iter().map(|&slot| light(slot as usize)).collect();
         let sums = lights.iter().zip(&areas).fold([0.0; 2], |[light, area], (l, a)| [light + l * a, area + a]);
         let least = LEAST_LIGHT * sums[0] / sums[1].max(f32::MIN_POSITIVE);
         let lights = lights.into_iter().map(|light| light.max(least)).collect();
@@ -86,30 +80,10 @@ impl Allotment {
         let needs = || members.members().iter().map(|&m| f64::from(self.needs[m as usize]));
         let (sum, squares) = needs().fold((0.0, 0.0), |(s, q), n| (s + n, q + n * n));
         let factor = if squares > 0.0 { MARGIN * sum / squares } else { 0.0 };
-        let wanted = |member: u32| {
-            let need = f64::from(self.needs[member as usize]);
-            f64::from(each) * (need * factor).min(f64::from(MOST))
-        };
-        let chunks = members.members().par_chunks(CHUNK).map(|members| self.shares(world, subset, members, wanted));
-        let (shares, neighbours): (Vec<Vec<Share>>, Vec<Vec<usize>>) = chunks.unzip();
-        let shares = || shares.iter().flatten();
-        let rows = members.shared(shares().map(|share| share.count), neighbours.into_iter().flatten());
-        (rows, shares().map(|share| share.paths.round().max(1.0) as u32).collect())
-    }
-
-    /// Which of some representatives share paths, where each wants so many, and how many of those shares borrow of one
-    /// another.
-    fn shares(
-        &self,
-        world: &World,
-        subset: &Subset,
-        members: &[u32],
-        wanted: impl Fn(u32) -> f64,
-    ) -> (Vec<Share>, Vec<usize>) {
         let mut shares: Vec<Share> = Vec::new();
         let are_near = |a: u32, b: u32| self.are_near(world, subset, a, b);
-        for &member in members {
-            let paths = wanted(member);
+        for (need, &member) in needs().zip(members.members()) {
+            let paths = f64::from(each) * (need * factor).min(f64::from(MOST));
             // One path is enough for all.
             let takes = |share: &Share| share.paths + paths <= 1.0 && are_near(share.first, member);
             match shares.last_mut().filter(|share| takes(share)) {
@@ -124,7 +98,8 @@ impl Allotment {
                 _ => neighbours.push((share.first, 1)),
             }
         }
-        (shares, neighbours.into_iter().map(|(_, count)| count).collect())
+        let rows = members.shared(shares.iter().map(|share| share.count), neighbours.iter().map(|n| n.1));
+        (rows, shares.iter().map(|share| share.paths.round().max(1.0) as u32).collect())
     }
 
     /// Whether two representatives lie beside each other, in light of the same kind.

@@ -5,14 +5,10 @@ use std::f32::consts::PI;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::transport::sums;
 use crate::world::World;
 
 /// Clusters of the change.
 const CLUSTERS: usize = 32;
-
-/// Slots per task.
-const CHUNK: usize = 4096;
 
 /// Places at most that clusters are made of, of those that have changed most and of the others.
 const PLACES: usize = 1 << 12;
@@ -31,19 +27,12 @@ pub(super) struct ChangedPoint {
 pub(super) fn places(world: &World, amounts: &[f32]) -> Vec<ChangedPoint> {
     let (positions, areas) = (world.positions(), world.areas());
     let square = |slot: usize| f64::from(amounts[slot] * amounts[slot]);
-    let chunks = amounts.par_chunks(CHUNK).enumerate();
-    let [sum, area] = sums(chunks.map(|(k, chunk)| k * CHUNK..k * CHUNK + chunk.len()), |slot| {
-        let area = f64::from(areas[slot]);
-        [area * square(slot), area]
-    });
-    let limit = if area > 0.0 { sum / area } else { 0.0 };
-    let slots = (0..amounts.len() as u32).into_par_iter().with_min_len(CHUNK);
-    let (most, others): (Vec<u32>, Vec<u32>) =
-        slots.filter(|&slot| areas[slot as usize] > 0.0).partition(|&slot| square(slot as usize) > limit);
-    let thinned = |slots: &[u32]| -> Vec<ChangedPoint> {
+    let limit = world.area_mean(0..amounts.len(), square);
+    let (most, others): (Vec<usize>, Vec<usize>) =
+        (0..amounts.len()).into_par_iter().filter(|&slot| areas[slot] > 0.0).partition(|&slot| square(slot) > limit);
+    let thinned = |slots: &[usize]| -> Vec<ChangedPoint> {
         let step = slots.len().div_ceil(PLACES).max(1);
-        let place = |&slot: &u32| {
-            let slot = slot as usize;
+        let place = |&slot: &usize| {
             let area = areas[slot] * step as f32;
             ChangedPoint { position: positions[slot], area, light: amounts[slot] }
         };

@@ -8,9 +8,6 @@ use crate::value::Value;
 
 const NONE: u32 = u32::MAX;
 
-/// Slots per task.
-const CHUNK: usize = 4096;
-
 /// A division of some slots.
 pub(super) struct Extent {
     /// Slots that are estimated themselves, ascending.
@@ -25,8 +22,8 @@ pub(super) struct Extent {
 
 impl Extent {
     /// Divides `of` (slots, ascending), of a world of `slots` slots.
-    pub(super) fn new(of: &[u32], subset: &Subset, slots: usize, is_fine: impl Fn(u32) -> bool + Sync) -> Extent {
-        let (fine, spread) = divided(of, is_fine);
+    pub(super) fn new(of: &[u32], subset: &Subset, slots: usize, is_fine: impl Fn(u32) -> bool) -> Extent {
+        let (fine, spread): (Vec<u32>, Vec<u32>) = of.iter().partition(|&&slot| is_fine(slot));
         let is_spread = flags(&spread, slots);
         let is_representative = |slot: u32| is_spread.get(slot as usize).copied().unwrap_or(false);
         let representatives = subset.slots.iter().copied().filter(|&slot| is_representative(slot)).collect();
@@ -35,8 +32,8 @@ impl Extent {
 
     /// Slots that are looked at, and nothing else: representatives of others among those that theirs are interpolated
     /// from.
-    pub(super) fn only(of: &[u32], subset: &Subset, slots: usize, is_fine: impl Fn(u32) -> bool + Sync) -> Extent {
-        let (fine, spread) = divided(of, is_fine);
+    pub(super) fn only(of: &[u32], subset: &Subset, slots: usize, is_fine: impl Fn(u32) -> bool) -> Extent {
+        let (fine, spread): (Vec<u32>, Vec<u32>) = of.iter().partition(|&&slot| is_fine(slot));
         let needed = subset.needed_by(&spread, slots);
         let representatives = subset.slots.iter().copied().filter(|&slot| needed[slot as usize]).collect();
         Extent::of(fine, representatives, flags(&spread, slots), subset)
@@ -45,13 +42,9 @@ impl Extent {
     fn of(fine: Vec<u32>, representatives: Vec<u32>, is_spread: Vec<bool>, subset: &Subset) -> Extent {
         let mut places = Vec::new();
         if !is_spread.is_empty() {
-            // Those that are not fine come in the order of the subset.
-            let mut others = (fine.len() as u32..).zip(&representatives).peekable();
-            let place = |slot: &u32| match others.next_if(|(_, other)| *other == slot) {
-                Some((place, _)) => place,
-                None => fine.binary_search(slot).map_or(NONE, |place| place as u32),
-            };
-            places = subset.slots.iter().map(place).collect();
+            let mut of_slot = vec![NONE; is_spread.len()];
+            fine.iter().chain(&representatives).zip(0..).for_each(|(&slot, place)| of_slot[slot as usize] = place);
+            places = subset.slots.iter().map(|&slot| of_slot[slot as usize]).collect();
         }
         Extent { fine, representatives, is_spread, places }
     }
@@ -74,11 +67,6 @@ impl Extent {
         let values: Vec<V> = self.places.par_iter().with_min_len(1024).map(value).collect();
         subset.add_where(|slot| self.is_spread[slot as usize], &values, out);
     }
-}
-
-/// Slots for which a question has the answer yes, and the others.
-fn divided(slots: &[u32], is_first: impl Fn(u32) -> bool + Sync) -> (Vec<u32>, Vec<u32>) {
-    slots.par_iter().with_min_len(CHUNK).partition(|&&slot| is_first(slot))
 }
 
 /// Flags of some slots; none at all where there are none.

@@ -64,8 +64,7 @@ impl<V: Solvable> Estimator<V> for Look<'_, V> {
             return Ok(prior);
         }
         let samples = if self.is_large { round.samples } else { UNSEEN_SAMPLES };
-        let (is_large, is_seen) = (self.is_large, &*self.is_seen);
-        let (prior, known) = self.updater.know(round, samples, |slot| is_large && is_seen[slot as usize])?;
+        let (prior, known) = self.updater.know(round, samples, |slot| self.is_large && self.is_seen[slot as usize])?;
         if self.is_large {
             out.clone_from(&known.parts);
             out.add_indirect(&known.bounces);
@@ -154,7 +153,7 @@ impl<V: Solvable> Updater<'_, V> {
         &self,
         round: &Round,
         samples: u32,
-        is_fine: impl Fn(u32) -> bool + Sync,
+        is_fine: impl Fn(u32) -> bool,
     ) -> Result<(Prior<V>, Known<V>), Canceled> {
         let round = Round { samples, seed: subseed(round.seed, 0xa11), ..*round };
         let mut parts = LightValues::default();

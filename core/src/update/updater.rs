@@ -130,7 +130,7 @@ impl<'a, V: Solvable> Updater<'a, V> {
     }
 
     /// Element by element where `is_wanted` says so, and S only near the edit; elsewhere on the subset.
-    pub(super) fn extents(&self, is_wanted: impl Fn(u32) -> bool + Sync) -> Extents {
+    pub(super) fn extents(&self, is_wanted: impl Fn(u32) -> bool) -> Extents {
         let is_near = self.source.is_near();
         let slots = self.world.slots();
         Extents {
