@@ -232,9 +232,7 @@ fn apart<T: Default + Clone + Send>(
     slots: usize,
     write: impl Fn(usize, usize, &mut [T]) + Sync,
 ) -> Vec<Vec<T>> {
-    // Fresh memory is touched on all threads.
-    let blank = || (0..slots).into_par_iter().with_min_len(CHUNK).map(|_| T::default()).collect();
-    let mut out: Vec<Vec<T>> = (0..layers).into_par_iter().map(|_| blank()).collect();
+    let mut out: Vec<Vec<T>> = (0..layers).into_par_iter().map(|_| black(slots)).collect();
     let mut chunks: Vec<_> = out.iter_mut().map(|layer| layer.chunks_mut(CHUNK)).collect();
     let of_chunk = |first| (first, chunks.iter_mut().filter_map(Iterator::next).collect());
     let tasks: Vec<(usize, Vec<&mut [T]>)> = (0..slots).step_by(CHUNK).map(of_chunk).collect();

@@ -7,7 +7,6 @@ use rayon::prelude::*;
 
 use crate::job::{Canceled, Observer};
 use crate::ranges::split_mut;
-use crate::value::Value;
 
 /// Elements per task: long enough to amortise, short enough that a cancel is seen within milliseconds.
 const CHUNK: usize = 64;
@@ -108,14 +107,14 @@ impl Tasks<'_> {
 }
 
 /// No light in so many slots: fresh memory is touched on all threads.
-pub(crate) fn black<V: Value>(slots: usize) -> Vec<V> {
+pub(crate) fn black<V: Default + Send>(slots: usize) -> Vec<V> {
     let mut light = Vec::new();
     blacken(&mut light, slots);
     light
 }
 
 /// No light in so many slots, in memory that is there.
-pub(crate) fn blacken<V: Value>(light: &mut Vec<V>, slots: usize) {
+pub(crate) fn blacken<V: Default + Send>(light: &mut Vec<V>, slots: usize) {
     (0..slots).into_par_iter().with_min_len(LONG_CHUNK).map(|_| V::default()).collect_into_vec(light);
 }
 

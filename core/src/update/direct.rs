@@ -74,12 +74,12 @@ impl<'a> DirectChange<'a> {
         let sphere = Spheres::new(&triangles).bounding();
         let mut change = DirectChange { transition, pairs, sphere, reaching: Vec::new() };
         let blocks = (0..after.slots().div_ceil(BLOCK)).into_par_iter().with_min_len(BLOCKS);
-        change.reaching = blocks.map(|block| change.reaching(block)).collect();
+        change.reaching = blocks.map(|block| change.pairs_reaching(block)).collect();
         change
     }
 
     /// Pairs whose light may change in a block.
-    fn reaching(&self, block: usize) -> Vec<u32> {
+    fn pairs_reaching(&self, block: usize) -> Vec<u32> {
         let world = &self.transition.after;
         let slots = block * BLOCK..world.slots().min((block + 1) * BLOCK);
         let computed = slots.filter(|&slot| world.is_computed(slot));
